@@ -20,6 +20,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import write_text
@@ -31,7 +32,7 @@ from fej_slam_ros.core.calibration.from_innovations import (
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, ODOMETRY_WINDOW)
 from fej_slam_ros.core.calibration.odometry_errors import (
-    fit_to_landmarks, fit_to_truth, OdometryErrors)
+    fit_to_landmarks, fit_to_truth, MAX_ERROR, OdometryErrors)
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
@@ -46,8 +47,8 @@ from fej_slam_ros.tables import number, text_table
 SCORE_HEADINGS = (
     'robot', 'NIS/dof before', 'after', 'NEES/3 before', 'after', 'gated before', 'after')
 ODOMETRY_HEADINGS = (
-    'odometry', 'robot', 'distance', 'std. error', 'turn', 'std. error', 'turn bias [rad/s]',
-    'std. error', 'pairs', 'from')
+    'odometry of', 'distance', 'standard error', 'turn', 'standard error', 'turn bias [rad/s]',
+    'standard error', 'pairs', 'from')
 
 #: Range of the noise scale parameters.
 MIN_SCALE, MAX_SCALE = 1e-3, 1e3
@@ -109,13 +110,15 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     before = _scores('before', values, collector.records)
     after = _scores('after', corrected, collector.records)
     write_text(arguments.output, parameters.dump_values(corrected))
-    if corrected_odometry != values:
-        print(_odometry_table(odometry))
     print(_factor_table(estimates))
     print(text_table(SCORE_HEADINGS, (
         (robot, *(cell for cells in zip(before[robot], after[robot]) for cell in cells))
         for robot in before)))
-    print('\n'.join([*_remarks(collector, estimates), f'wrote {arguments.output}']))
+    if odometry:
+        print(_odometry_table(odometry))
+    print('\n'.join([
+        *_odometry_remarks(odometry), *_remarks(collector, estimates),
+        f'wrote {arguments.output}']))
     return 0
 
 
@@ -123,9 +126,9 @@ def _odometry_errors(
     source: str | None, settings: Settings, records: Sequence[Received]
 ) -> dict[str, tuple[str, OdometryErrors]]:
     """Return source and systematic errors of the odometry of each robot with enough data."""
-    truth = RecordedTruth()
+    truth, robots = RecordedTruth(), {robot.name: robot for robot in settings.robots}
     of_robots: dict[str, tuple[list[Odometry], list[Scan]]] = {
-        robot.name: ([], []) for robot in settings.robots}
+        robot: ([], []) for robot in robots}
     for record, _ in records:
         if isinstance(record, TruePose):
             truth.add(record)
@@ -135,10 +138,12 @@ def _odometry_errors(
             of_robots[record.robot][1].append(record)
     found = {}
     for robot, (odometry, scans) in of_robots.items():
-        by_truth = None if source == 'innovations' else fit_to_truth(odometry, truth)
+        given = np.array([*robots[robot].odometry_scale, robots[robot].odometry_turn_bias])
+        by_truth = None if source == 'innovations' else fit_to_truth(odometry, truth, given)
         by_landmarks = None
         if by_truth is None and source != 'truth':
-            by_landmarks = fit_to_landmarks(odometry, sorted(scans, key=attrgetter('stamp')))
+            by_landmarks = fit_to_landmarks(
+                odometry, sorted(scans, key=attrgetter('stamp')), given)
         if by_truth is not None:
             found[robot] = 'truth', by_truth
         elif by_landmarks is not None:
@@ -149,12 +154,14 @@ def _odometry_errors(
 def _with_odometry_errors(
     values: Mapping[str, object], found: Mapping[str, tuple[str, OdometryErrors]]
 ) -> dict[str, object]:
-    """Return parameters with the systematic errors that were found."""
+    """Return parameters with the systematic errors that were found, where they are others."""
     corrected = dict(values)
+    present = {robot.name: robot for robot in parameters.parse(values).estimation.robots}
     for robot, (_, errors) in found.items():
-        if errors.is_significant:
-            distance, turn, bias = (float(f'{value:.4g}') for value in errors.values)
+        distance, turn, bias = (float(f'{value:.4g}') for value in errors.values)
+        if (distance, turn) != present[robot].odometry_scale:
             corrected[f'{robot}.odometry_scale'] = [distance, turn]
+        if bias != present[robot].odometry_turn_bias:
             corrected[f'{robot}.odometry_turn_bias'] = bias
     return corrected
 
@@ -236,10 +243,21 @@ def _scores(
 
 def _odometry_table(found: Mapping[str, tuple[str, OdometryErrors]]) -> str:
     return text_table(ODOMETRY_HEADINGS, (
-        ('scale', robot, *(
-            f'{number:.4f}' for pair in zip(errors.values, errors.sigma) for number in pair),
+        (robot, *(
+            cell for value, sigma, is_known in zip(errors.values, errors.sigma, errors.is_known)
+            for cell in (number(value if is_known else None, '.4f'), f'{sigma:.4f}')),
          str(errors.pairs), source)
         for robot, (source, errors) in found.items()))
+
+
+def _odometry_remarks(found: Mapping[str, tuple[str, OdometryErrors]]) -> Iterator[str]:
+    distance, turn, bias = MAX_ERROR
+    for robot, (_, errors) in found.items():
+        if errors.is_at_limit:
+            yield (
+                f'odometry of {robot} is wrong by {100 * distance:.0f} % in distance,'
+                f' {100 * turn:.0f} % in turns or {bias:.2g} rad/s, or more: check its units,'
+                ' wheel radius and wheel base')
 
 
 def _factor_table(estimates: Estimates) -> str:

@@ -14,10 +14,10 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.geometry import Array, between, compose, interpolated, perpendicular
+from fej_slam_ros.core.geometry import Array, between, compose, perpendicular
 from fej_slam_ros.core.ordering.impossible_motion import UNKNOWN
-from fej_slam_ros.core.ordering.odometry_increments import checked_increment
-from fej_slam_ros.core.records import Odometry
+from fej_slam_ros.core.ordering.odometry_increments import checked_increment, corrected
+from fej_slam_ros.core.records import NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
 #: Maximum number of increments after the settled pose, ten seconds at 200 Hz; bounds memory and
@@ -43,6 +43,7 @@ class PosePredictor:
         self._noise: Array = np.empty((0, 3, 3))
         self._speeds = UNKNOWN
         self._settled: PoseEstimate | None = None
+        self._settled_odometry: Array = np.zeros(3)
 
     def add(self, record: Odometry) -> bool:
         """Add accepted odometry; return False, and do not use it, unless it is the newest."""
@@ -53,9 +54,9 @@ class PosePredictor:
         self._records.append(record)
         return True
 
-    def settle(self, settled: PoseEstimate) -> None:
-        """Set the pose of the newest step."""
-        self._settled = settled
+    def settle(self, settled: PoseEstimate, odometry: Array) -> None:
+        """Set the pose of the newest step, and the odometry pose (3,) at its stamp."""
+        self._settled, self._settled_odometry = settled, odometry
         passed = bisect_right(self._records, settled.stamp, key=lambda record: record.stamp)
         self._keep_from(max(passed - 1, 0))
 
@@ -68,7 +69,12 @@ class PosePredictor:
         first, newest = self._records[0], self._records[-1]
         if not first.stamp <= settled.stamp <= newest.stamp:
             return None
-        pose = models.f(settled.pose, between(self._pose_at(settled.stamp), self._poses[-1]))
+        # Within the first increment: its beginning may be a record that came too late for this.
+        passed = corrected(
+            between(first.pose, self._settled_odometry), (settled.stamp - first.stamp) / NS,
+            settings)
+        moved = between(compose(self._poses[0], passed), self._poses[-1])
+        pose = models.f(settled.pose, moved)
         Phi = models.Phi(pose[:2] - settled.pose[:2])
         # The rotation from the odometry frame to that of the pose.
         C = models.G(pose[2] - self._poses[-1, 2])
@@ -92,15 +98,6 @@ class PosePredictor:
             G = models.G(begin[2])
             self._poses = np.concatenate([self._poses, compose(begin, motion.u)[None]])
             self._noise = np.concatenate([self._noise, (G @ motion.Q @ G.T)[None]])
-
-    def _pose_at(self, stamp: int) -> Array:
-        """Return the odometry pose (3,) at a stamp within the first increment."""
-        begin = self._records[0].stamp
-        if stamp == begin:
-            first: Array = self._poses[0]
-            return first
-        fraction = (stamp - begin) / (self._records[1].stamp - begin)
-        return interpolated(self._poses[0], self._poses[1], fraction)
 
     def _accumulated_noise(self, stamp: int) -> Array:
         """Return the covariance (3, 3) of the motion since a stamp, in the odometry frame."""

@@ -32,7 +32,7 @@ class NoiseSettings:
         (1.0, 1.0), ODOMETRY_SCALE, 'true over measured distance and turn of odometry',
         changeable=True)
     odometry_turn_bias: float = parameter(
-        0.0, TURN_BIAS, 'turn rate that odometry measures at rest, times odometry_scale', 'rad/s',
+        0.0, TURN_BIAS, 'turn rate subtracted from that of odometry, after its scale', 'rad/s',
         changeable=True)
     odometry_noise_scale: float = parameter(
         1.0, NOISE_SCALE,

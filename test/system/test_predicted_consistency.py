@@ -37,7 +37,7 @@ def mean_nees(seed, environment, **world):
             assert record.stamp - settled.get(record.robot, 0) >= DELAY * NS
         for result in estimator.take():
             for pose in result.poses:
-                predictors[pose.robot].settle(pose)
+                predictors[pose.robot].settle(pose, result.odometry[pose.robot])
                 settled[pose.robot] = pose.stamp
     nees = defaultdict(list)
     for pose in predicted:

@@ -21,8 +21,9 @@ from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry, Scan
 
-#: Time between two true poses, and between two observations of a landmark [ns].
-TRUTH_TIME, LANDMARK_TIME = 5 * NS, 3 * NS
+#: Time between two true poses, at least and at most, and between two observations of a landmark
+#: at most [ns].
+TRUTH_TIME, MAX_TRUTH_TIME, LANDMARK_TIME = 5 * NS, 10 * NS, 3 * NS
 #: Minimum number of pairs of either.
 MIN_PAIRS = 60
 #: Odometry without errors: scale of distances, scale of turns, turn rate at rest [rad/s].
@@ -31,8 +32,8 @@ NO_ERRORS = np.array([1.0, 1.0, 0.0])
 PRIOR_SIGMA = np.array([0.1, 0.1, 0.05])
 #: Largest standard error of an error that is used, and the smallest error that matters.
 MAX_SIGMA, MIN_ERROR = np.array([0.02, 0.02, 0.002]), np.array([0.005, 0.005, 0.0005])
-#: Number of standard errors that an error must have, and of those before any data that it may.
-MIN_SIGMAS, MAX_PRIOR_SIGMAS = 4.0, 3.0
+#: Number of standard errors that an error must have, and the largest errors that are looked for.
+MIN_SIGMAS, MAX_ERROR = 4.0, 3.0 * PRIOR_SIGMA
 #: Standard deviation over the median magnitude of normal errors.
 OF_MEDIAN = 1.4826
 
@@ -42,21 +43,32 @@ Residuals = Callable[[Array], Array]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryErrors:
-    """Systematic errors of odometry, as in the parameters of their names."""
+    """Systematic errors of odometry: the scales of distances and turns, and the turn bias."""
 
-    #: (3,) array, odometry_scale and odometry_turn_bias; as in `NO_ERRORS` if not significant
-    values: Array
-    sigma: Array  #: (3,) array, standard errors if there may be all three
+    values: Array  #: (3,) array; those given where the data do not determine them
+    sigma: Array  #: (3,) array, their standard errors if there may be all three
+    is_known: Flags  #: (3,) array, whether the data determine each, an error or that there is none
+    is_at_limit: bool  #: whether one is as large as is looked for, so that it is not known
     pairs: int  #: number of pairs of true poses or of observations
 
-    @property
-    def is_significant(self) -> bool:
-        """Return whether there is any error."""
-        return bool((self.values != NO_ERRORS).any())
 
+def fit_to_truth(
+    odometry: Sequence[Odometry], truth: RecordedTruth, given: Array = NO_ERRORS
+) -> OdometryErrors | None:
+    """
+    Return the errors of the odometry of a robot by its ground truth.
 
-def fit_to_truth(odometry: Sequence[Odometry], truth: RecordedTruth) -> OdometryErrors | None:
-    """Return the errors of the odometry of a robot, by stamps; None with too little truth."""
+    Parameters
+    ----------
+    odometry : of one robot
+    truth : true poses
+    given : (3,) array, errors where the data do not determine them
+
+    Returns
+    -------
+    The errors, None if there is too little ground truth.
+
+    """
     known, poses = trajectory(odometry)
     stamps: list[tuple[int, int]] = []
     begin: int | None = None
@@ -64,7 +76,9 @@ def fit_to_truth(odometry: Sequence[Odometry], truth: RecordedTruth) -> Odometry
         if begin is not None and stamp - begin < TRUTH_TIME:
             continue
         if truth.covers(odometry[0].robot, stamp):
-            stamps += [] if begin is None else [(begin, stamp)]
+            # Over a gap the heading may have turned by more than half a turn.
+            if begin is not None and stamp - begin <= MAX_TRUTH_TIME:
+                stamps.append((begin, stamp))
             begin = stamp
     if len(stamps) < MIN_PAIRS:
         return None
@@ -82,14 +96,14 @@ def fit_to_truth(odometry: Sequence[Odometry], truth: RecordedTruth) -> Odometry
         return e
 
     # Metres and radians are made comparable by what remains with the errors of a first fit.
-    first = _least(lambda values: errors(values).ravel(), np.ones(3, bool))
+    first = _least(lambda values: errors(values).ravel(), NO_ERRORS, np.ones(3, bool))
     spread = OF_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
     return _significant(
-        lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), len(stamps))
+        lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), len(stamps), given)
 
 
 def fit_to_landmarks(
-    odometry: Sequence[Odometry], scans: Sequence[Scan]
+    odometry: Sequence[Odometry], scans: Sequence[Scan], given: Array = NO_ERRORS
 ) -> OdometryErrors | None:
     """
     Return the errors of the odometry of a robot, by its observations of landmarks.
@@ -97,6 +111,7 @@ def fit_to_landmarks(
     Parameters
     ----------
     odometry, scans : of one robot, by stamps; observations are in its base frame
+    given : (3,) array, errors where the data do not determine them
 
     Returns
     -------
@@ -115,7 +130,7 @@ def fit_to_landmarks(
         r: Array = np.einsum('nji,nj->ni', placed.A, placed.residuals(at_base)).ravel()
         return r
 
-    return _significant(residuals, len(pairs.sigma))
+    return _significant(residuals, len(pairs.sigma), given)
 
 
 def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array) -> Array:
@@ -140,24 +155,27 @@ def _motions(before: Array, after: Array) -> Array:
         models.h(before, after[:, :2]), wrap_all(after[:, 2] - before[:, 2])])
 
 
-def _significant(residuals: Residuals, pairs: int) -> OdometryErrors:
-    """Return the errors that the data show, with the others at those of `NO_ERRORS`."""
-    free, of_all = np.ones(3, bool), np.empty(0)
+def _significant(residuals: Residuals, pairs: int, given: Array) -> OdometryErrors:
+    """Return the errors that the data show; what they do not determine is as given."""
+    free, fixed, of_all = np.ones(3, bool), NO_ERRORS.copy(), np.empty(0)
+    is_known, is_at_limit = np.ones(3, bool), False
     while True:
-        fit = _least(residuals, free)
+        fit = _least(residuals, fixed, free)
         scatter = OF_MEDIAN * float(np.median(np.abs(residuals(fit.x))))
         sigma = np.sqrt(np.diag(np.linalg.inv(fit.information))) * max(scatter, 1e-12)
-        error = np.abs(fit.x - NO_ERRORS)
-        # An error at its limit is none of odometry.
-        shown = (
-            (sigma < MAX_SIGMA) & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
-            & (error < 0.99 * MAX_PRIOR_SIGMAS * PRIOR_SIGMA))
         of_all = sigma if free.all() else of_all
+        error = np.abs(fit.x - NO_ERRORS)
+        at_limit = error > 0.99 * MAX_ERROR
+        known = (sigma < MAX_SIGMA) & ~at_limit
+        shown = known & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
         hidden = np.flatnonzero(free & ~shown)
         if not len(hidden):
-            return OdometryErrors(fit.x, of_all, pairs)
+            return OdometryErrors(fit.x, of_all, is_known, is_at_limit, pairs)
         # A constant turn rate does not tell a scale from a bias: it counts as a scale.
-        free[hidden[-1]] = False
+        k = hidden[-1]
+        free[k], is_known[k] = False, known[k]
+        fixed[k] = NO_ERRORS[k] if known[k] else given[k]
+        is_at_limit |= bool(at_limit[k] and sigma[k] < MAX_SIGMA[k])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,17 +186,17 @@ class _Fit:
     information: Array
 
 
-def _least(residuals: Residuals, free: Flags) -> _Fit:
-    """Return the errors with the least squares, of which only some are `free`."""
+def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
+    """Return the errors with the least squares, of which some are `free`, others `fixed`."""
     def of_free(values: Array) -> Array:
-        errors = NO_ERRORS.copy()
+        errors = fixed.copy()
         errors[free] = values
-        return np.append(residuals(errors), (errors - NO_ERRORS) / PRIOR_SIGMA)
+        return np.append(residuals(errors), (values - NO_ERRORS[free]) / PRIOR_SIGMA[free])
 
-    x = NO_ERRORS.copy()
+    x = fixed.copy()
     information = np.diag(1.0 / np.square(PRIOR_SIGMA))
     if free.any():
-        start, limit = NO_ERRORS[free], MAX_PRIOR_SIGMAS * PRIOR_SIGMA[free]
+        start, limit = NO_ERRORS[free], MAX_ERROR[free]
         fit = least_squares(
             of_free, start, loss='soft_l1', x_scale=limit, bounds=(start - limit, start + limit))
         x[free] = fit.x

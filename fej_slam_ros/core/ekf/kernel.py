@@ -45,7 +45,7 @@ class Kernel(Protocol):
     def stacked(self, arrays: Sequence[Array]) -> Array:
         """Return arrays of one shape as one."""
 
-    def observed_states(self, observers: Sequence[int], observed: Sequence[int]) -> Indices:
+    def observed_states(self, observers: list[int], observed: list[int]) -> Indices:
         """Return the states that observations depend on."""
 
     def h(self, x: Array) -> Array:

@@ -108,7 +108,7 @@ def stacked(arrays: Sequence[Array]) -> Array:
     return np.array(arrays, np.float64)
 
 
-def observed_states(observers: Sequence[int], observed: Sequence[int]) -> Indices:
+def observed_states(observers: list[int], observed: list[int]) -> Indices:
     """Return the states (m, 5) of m observers and points, given the first state of each."""
     starts = np.array([observers, observed], np.intp)
     states: Indices = starts.T.take(COLUMN_VARIABLE, 1) + COLUMN_STATE

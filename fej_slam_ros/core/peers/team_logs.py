@@ -21,7 +21,8 @@ from fej_slam_ros.core.settings import NoiseSettings
 MAX_RECORDS, MAX_OBSERVATIONS = 64, 8
 #: Maximum number of blocks of rendezvous information.
 MAX_INFORMATION = 16
-#: Standard deviations of odometry and of landmarks, and the three scales of `NoiseSettings`.
+#: Standard deviations of odometry and of landmarks, the three scales of noise, and the systematic
+#: errors of `NoiseSettings`.
 _NOISE = struct.Struct('<11d')
 MAX_SIGMA = 1e6
 #: Number of records after which the size of the block is computed.

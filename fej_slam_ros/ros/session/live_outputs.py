@@ -50,7 +50,7 @@ class LiveOutputs(EstimatorOutputs):
     def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
         """Yield the messages of a step, and predict from its poses from now on."""
         for settled in result.poses:
-            self._predictors[settled.robot].settle(settled)
+            self._predictors[settled.robot].settle(settled, result.odometry[settled.robot])
         yield from super().of_step(result, is_wanted)
 
     def predictions(self, is_wanted: IsWanted) -> Iterator[Publication]:

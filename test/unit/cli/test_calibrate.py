@@ -20,6 +20,10 @@ from helpers.ros import raw_record, run_verb, write_bag, write_parameters
 RECORDS = claiming(
     simulation.parse({'loops': 2, 'rate': 1, 'landmarks': 30, 'seed': 3}).records(),
     {Odometry: 0.5, Scan: 2.0})
+#: Long enough for the systematic errors of odometry.
+ON_CIRCLES = [*simulation.parse({
+    'loops': 13, 'rate': 1, 'landmarks': 30, 'seed': 3,
+    'odometry_sigma': [0.02, 0.02, 0.005]}).records()]
 WITHOUT_TRUTH = [r for r in RECORDS if not isinstance(r, (TruePose, TrueLandmarks))]
 
 
@@ -94,19 +98,31 @@ def with_odometry_errors(records, scale):
 @pytest.mark.parametrize(('options', 'source'), [
     (('--from', 'truth'), 'truth'), (('--from', 'innovations', '--seconds', '20'), 'landmarks')])
 def test_systematic_errors_of_odometry_are_corrected(calibrate, places, options, source):
-    records = simulation.parse({
-        'loops': 25, 'rate': 2, 'landmarks': 30, 'seed': 3,
-        'odometry_sigma': [0.02, 0.02, 0.005]}).records()
 
-    _, printed, _ = calibrate(with_odometry_errors(records, (0.94, 1.05)), *options)
+    _, printed, _ = calibrate(with_odometry_errors(ON_CIRCLES, (0.94, 1.05)), *options)
 
     settings = parameters.load(places[2]).estimation
     for robot in settings.robots:
-        assert row(printed, 'scale', robot.name)[-1] == source
-        assert robot.odometry_scale == pytest.approx((0.94, 1.05), abs=0.01)
+        *_, cells = (line.split() for line in printed.splitlines() if line.startswith(robot.name))
+        assert cells[-1] == source
+        # Four standard errors of the turns.
+        assert robot.odometry_scale == pytest.approx((0.94, 1.05), abs=0.02)
         assert robot.odometry_turn_bias == pytest.approx(0.0, abs=0.001)
     # Without the errors, the noise is that of the simulation.
     assert settings.odometry_noise_scale == pytest.approx(1.0, abs=0.25)
+
+
+def test_earlier_errors_of_odometry_are_replaced_by_those_found(calibrate, places):
+    write_parameters(
+        places[1], **{'robots': ['r1', 'r2'], 'r1.odometry_scale': [0.97, 1.02],
+                      'r2.odometry_turn_bias': 0.01})
+
+    calibrate(ON_CIRCLES, '--from', 'truth')
+
+    r1, r2 = parameters.load(places[2]).estimation.robots
+    assert r1.odometry_scale == (1.0, 1.0)
+    # On circles, a bias is not told from a scale.
+    assert r2.odometry_turn_bias == 0.01
 
 
 def test_other_parameters_are_kept_and_used(calibrate, places):

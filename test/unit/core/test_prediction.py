@@ -9,6 +9,7 @@ import pytest
 
 from fej_slam_ros.core import prediction
 from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.prediction import PosePredictor
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.settings import RobotSettings
@@ -61,7 +62,7 @@ def test_predictions_are_the_poses_of_the_filter_until_the_next_update(robot, kn
         predictor.add(record)
         if record.stamp < last.stamp:
             continue
-        predictor.settle(last.poses[0])
+        predictor.settle(last.poses[0], last.odometry['r1'])
         expected = next(r.poses[0] for r in results if r.stamp == record.stamp)
         found = predictor.predict(robot)
         assert (found.stamp, found.frame) == (expected.stamp, expected.frame)
@@ -74,7 +75,7 @@ def test_predictions_are_the_poses_of_the_filter_until_the_next_update(robot, kn
 def test_without_odometry_after_it_the_prediction_is_the_settled_pose():
     records = curve(steps=3)
     predictor = predictor_with(records)
-    predictor.settle(settled(200))
+    predictor.settle(settled(200), records[-1].pose)
 
     found = predictor.predict(R1)
 
@@ -86,9 +87,9 @@ def test_a_newer_settled_pose_replaces_the_older_with_its_frame():
     records = curve()
     predictor = predictor_with(records)
 
-    predictor.settle(settled(100, frame='r1/map'))
+    predictor.settle(settled(100, frame='r1/map'), records[1].pose)
     before = predictor.predict(R1)
-    predictor.settle(settled(800))
+    predictor.settle(settled(800), records[8].pose)
     after = predictor.predict(R1)
 
     assert (before.frame, after.frame) == ('r1/map', 'map')
@@ -99,7 +100,7 @@ def test_a_newer_settled_pose_replaces_the_older_with_its_frame():
 def test_odometry_that_is_not_the_newest_is_not_used():
     records = curve()
     predictor = predictor_with(records)
-    predictor.settle(settled())
+    predictor.settle(settled(), records[0].pose)
     before = predictor.predict(R1)
 
     assert not predictor.add(records[-1])
@@ -108,11 +109,23 @@ def test_odometry_that_is_not_the_newest_is_not_used():
     assert predictor.predict(R1).P.tobytes() == before.P.tobytes()
 
 
+def test_a_settled_pose_at_odometry_that_came_too_late_is_moved_on_from_there():
+    records = curve()
+    predictor = predictor_with([*records[:2], *records[3:5]])
+    assert not predictor.add(records[2])
+    predictor.settle(settled(200), records[2].pose)
+
+    found = predictor.predict(R1)
+
+    u = between(records[2].pose, records[4].pose)
+    np.testing.assert_allclose(found.pose, compose(settled(200).pose, u), atol=1e-12)
+
+
 def test_there_is_no_prediction_before_a_settled_pose_and_its_odometry():
     assert PosePredictor().predict(R1) is None
     assert predictor_with(curve()).predict(R1) is None
     early = predictor_with(curve()[3:])
-    early.settle(settled())
+    early.settle(settled(), np.zeros(3))
     assert early.predict(R1) is None
 
 
@@ -120,21 +133,21 @@ def test_after_a_gap_too_long_to_linearise_there_is_no_prediction_until_a_later_
     records = curve(steps=4)
     gap = replace(records[-1], stamp=3_600_000 * MS)
     predictor = predictor_with(records[:-1])
-    predictor.settle(settled())
+    predictor.settle(settled(), records[0].pose)
     assert predictor.predict(R1) is not None
 
     assert predictor.add(gap)
-    predictor.settle(settled(200))
+    predictor.settle(settled(200), records[2].pose)
     assert predictor.predict(R1) is None
 
-    predictor.settle(settled(3_600_000, frame='r1/map'))
+    predictor.settle(settled(3_600_000, frame='r1/map'), gap.pose)
     assert predictor.predict(R1).frame == 'r1/map'
 
 
 def test_the_number_of_stored_increments_is_bounded(monkeypatch):
     monkeypatch.setattr(prediction, 'MAX_PENDING', 5)
     predictor = predictor_with(curve(steps=6))
-    predictor.settle(settled())
+    predictor.settle(settled(), np.zeros(3))
     assert predictor.predict(R1) is not None
 
     predictor.add(odometry('r1', 700))
@@ -154,7 +167,7 @@ def test_predictions_from_delayed_poses_are_consistent():
             record = Odometry('r1', k * 100 * MS, measured, 100.0 * Q)
             predictor.add(record)
             if k == 0:
-                predictor.settle(settled(0, start, P=P0))
+                predictor.settle(settled(0, start, P=P0), measured)
             if k < 7:
                 u = np.array([0.2, 0.0, 0.1])
                 noisy = u + rng.multivariate_normal(np.zeros(3), Q)

@@ -34,6 +34,8 @@ def run(scale=(1.0, 1.0), bias=0.0, straight=False, seconds=SECONDS):
         measured = compose(measured, wrong + rng.normal(0.0, [2e-3, 1e-3, 1e-3]))
         odometry.append(Odometry('r', stamp, measured, None))
         true.append(TruePose('r', stamp, pose))
+        if k % 5:
+            continue
         z = transform(inverse(pose), landmarks)
         scans.append(Scan('r', stamp, tuple(
             Observation(int(i), z[i] + rng.normal(0.0, SIGMA, 2), SIGMA**2 * np.eye(2))
@@ -41,15 +43,15 @@ def run(scale=(1.0, 1.0), bias=0.0, straight=False, seconds=SECONDS):
     return odometry, scans, true
 
 
-def by_truth(odometry, _, true):
+def by_truth(odometry, _, true, given=NO_ERRORS):
     truth = RecordedTruth()
     for record in true:
         truth.add(record)
-    return fit_to_truth(odometry, truth)
+    return fit_to_truth(odometry, truth, given)
 
 
-def by_landmarks(odometry, scans, _):
-    return fit_to_landmarks(odometry, scans)
+def by_landmarks(odometry, scans, _, given=NO_ERRORS):
+    return fit_to_landmarks(odometry, scans, given)
 
 
 FITS = pytest.mark.parametrize('fit', [by_truth, by_landmarks])
@@ -71,15 +73,36 @@ def test_errors_are_those_of_the_simulation(fit, scale, bias):
 def test_odometry_without_errors_is_left_as_it_is(fit):
     errors = fit(*run())
 
-    assert not errors.is_significant
+    assert errors.is_known.all()
+    assert_array_equal(errors.values, NO_ERRORS)
 
 
 @FITS
 def test_what_the_motion_does_not_show_is_left_as_it_is(fit):
-    errors = fit(*run((0.95, 0.8), straight=True))
+    errors = fit(*run((0.95, 0.8), straight=True), np.array([0.9, 1.1, 0.0]))
 
     assert errors.values[0] == pytest.approx(0.95, abs=0.005)
-    assert_array_equal(errors.values[1:], NO_ERRORS[1:])
+    assert errors.is_known[0]
+    assert not errors.is_known[1]
+    assert errors.values[1] == 1.1
+
+
+def test_gaps_in_the_ground_truth_are_not_bridged():
+    # Truth in 20 s of each 50 s, between which the robot turns by more than half a turn.
+    odometry, scans, true = run((0.9, 0.9), 0.03, seconds=1500.0)
+    some = [record for record in true if record.stamp % (50 * NS) < 20 * NS]
+
+    errors = by_truth(odometry, scans, some)
+
+    assert_allclose(errors.values, [0.9, 0.9, 0.03], atol=0.005)
+
+
+@FITS
+def test_errors_that_are_none_of_odometry_are_reported(fit):
+    errors = fit(*run(scale=(0.6, 1.0)))
+
+    assert errors.is_at_limit
+    assert not errors.is_known[0]
 
 
 def test_too_little_data_give_no_errors():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core.smoothing import odometry_chains
 from fej_slam_ros.core.smoothing.least_squares import information, solve, Values
 from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains
 from helpers.smoothing import far_from, whitened_dense, world
@@ -23,6 +24,12 @@ def sparse_world(seed, offset=0.0, observed_from=(4, 5, 13, 28, 33, 59)):
     shift = [offset, offset, 0.0]
     return replace(problem, landmarks=landmarks), Values(
         truth.poses + shift, truth.points + offset)
+
+
+@pytest.fixture(params=[5, 16_384], autouse=True)
+def parts(request, monkeypatch):
+    """Linearise chains in many parts, or all at once."""
+    monkeypatch.setattr(odometry_chains, 'MAX_PART', request.param)
 
 
 @pytest.mark.parametrize('offset', [0.0, 1e6], ids=['near the origin', 'at UTM coordinates'])
