@@ -7,7 +7,7 @@ import subprocess
 
 import numpy as np
 
-from fej_slam_ros.benchmark.batch import TimedSolution, MAX_ITERATIONS, RELATIVE_DECREASE
+from fej_slam_ros.benchmark.batch import MAX_ITERATIONS, RELATIVE_DECREASE, TimedSolution
 from fej_slam_ros.benchmark.cpp_program import built, can_build
 from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, Factors, Problem, Values, whitener)

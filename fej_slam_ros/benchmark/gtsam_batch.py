@@ -7,7 +7,7 @@ from time import perf_counter
 import gtsam
 import numpy as np
 
-from fej_slam_ros.benchmark.batch import TimedSolution, MAX_ITERATIONS, RELATIVE_DECREASE
+from fej_slam_ros.benchmark.batch import MAX_ITERATIONS, RELATIVE_DECREASE, TimedSolution
 from fej_slam_ros.benchmark.isam2 import bearing_range_factor
 from fej_slam_ros.core.geometry import pose_rotation
 from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, Values
