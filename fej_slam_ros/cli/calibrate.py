@@ -158,7 +158,9 @@ def _with_odometry_errors(
     corrected = dict(values)
     present = {robot.name: robot for robot in parameters.parse(values).estimation.robots}
     for robot, (_, errors) in found.items():
-        distance, turn, bias = (float(f'{value:.4g}') for value in errors.values)
+        distance, turn, bias = (
+            float(f'{value:.4g}') if is_known else float(value)
+            for value, is_known in zip(errors.values, errors.is_known))
         if (distance, turn) != present[robot].odometry_scale:
             corrected[f'{robot}.odometry_scale'] = [distance, turn]
         if bias != present[robot].odometry_turn_bias:
