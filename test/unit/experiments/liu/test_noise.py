@@ -97,6 +97,16 @@ def test_an_interrupted_sweep_keeps_its_finished_runs(finished, runs):
     assert all(of_case == [*range(k, finished, 4)] for k, of_case in enumerate(values))
 
 
+@pytest.mark.parametrize('configuration', [ONE, TWO])
+def test_robots_stay_in_the_frame_at_the_highest_noise(configuration):
+    *_, highest = noise.tasks(WORLDS, 1, [1])
+
+    # A pose in another frame, whose start is exact, would have no NEES.
+    found = noise.run(replace(highest, world=WORLDS[configuration], filters=('fej',)))
+
+    assert all(np.isfinite(value) for value in found['fej'].values())
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_invariant_filter_is_consistent_at_any_noise_and_no_worse_than_fej(data):
