@@ -44,8 +44,8 @@ class MonteCarloTask:
     seed: tuple[int, ...]  #: Entropy of the noise
 
 
-#: Number of landmarks that a map must have for an uncertain robot to restart in its own frame: more
-#: than any here, since in [Liu] robots stay in the frame, however uncertain they are.
+#: Minimum number of landmarks of a map from which an uncertain robot restarts in its own frame:
+#: more than there are, since in [Liu] robots stay in the frame, however uncertain they are.
 NEVER_RESTART = 1000
 #: Errors of stacked runs, by experiment and by the filter's name in the tables.
 TableRuns = Mapping[Configuration, Mapping[str, Errors]]
