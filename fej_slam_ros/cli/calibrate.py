@@ -139,15 +139,13 @@ def _odometry_errors(
     found = {}
     for robot, (odometry, scans) in of_robots.items():
         given = np.array([*robots[robot].odometry_scale, robots[robot].odometry_turn_bias])
-        by_truth = None if source == 'innovations' else fit_to_truth(odometry, truth, given)
-        by_landmarks = None
-        if by_truth is None and source != 'truth':
-            by_landmarks = fit_to_landmarks(
-                odometry, sorted(scans, key=attrgetter('stamp')), given)
-        if by_truth is not None:
-            found[robot] = 'truth', by_truth
-        elif by_landmarks is not None:
-            found[robot] = 'landmarks', by_landmarks
+        fit = None if source == 'innovations' else fit_to_truth(odometry, truth, given)
+        if fit is not None:
+            found[robot] = 'truth', fit
+        elif source != 'truth':
+            fit = fit_to_landmarks(odometry, sorted(scans, key=attrgetter('stamp')), given)
+            if fit is not None:
+                found[robot] = 'landmarks', fit
     return found
 
 

@@ -17,6 +17,7 @@ from scipy.optimize import least_squares
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, trajectory
+from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry, Scan
@@ -89,11 +90,10 @@ def fit_to_truth(
 
     def errors(values: Array) -> Array:
         moved = corrected_trajectory(known, poses, values)
-        e = true - _motions(*(poses_at(of, known, moved) for of in (firsts, lasts)))
-        e[:, 2] = wrap_all(e[:, 2])
+        e = pose_error(true, _motions(*(poses_at(of, known, moved) for of in (firsts, lasts))))
         # In the measure of odometry: its noise would otherwise be least with the scale 0.
-        e /= values[[0, 0, 1]]
-        return e
+        scaled: Array = e / values[[0, 0, 1]]
+        return scaled
 
     # Metres and radians are made comparable by what remains with the errors of a first fit.
     first = _least(lambda values: errors(values).ravel(), NO_ERRORS, np.ones(3, bool))
@@ -136,16 +136,13 @@ def fit_to_landmarks(
 def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array) -> Array:
     """Return the odometry poses (n, 3) at stamps (n,) [ns] without errors (3,)."""
     distance, turn, bias = values
-    (dx, dy, dphi), phi = np.diff(poses, axis=0).T, poses[:-1, 2]
-    c, s = np.cos(phi), np.sin(phi)
-    turns = turn * wrap_all(dphi) - bias * np.diff(stamps) / NS
+    ahead, left, turned = _motions(poses[:-1], poses[1:]).T
+    turns = turn * turned - bias * np.diff(stamps) / NS
     headings = poses[0, 2] + np.append(0.0, np.cumsum(turns))
-    c_new, s_new = np.cos(headings[:-1]), np.sin(headings[:-1])
-    ahead, left = distance * (c * dx + s * dy), distance * (c * dy - s * dx)
+    c, s = np.cos(headings[:-1]), np.sin(headings[:-1])
     x, y = (
-        start + np.append(0.0, np.cumsum(steps)) for start, steps in (
-            (poses[0, 0], c_new * ahead - s_new * left),
-            (poses[0, 1], s_new * ahead + c_new * left)))
+        start + distance * np.append(0.0, np.cumsum(steps)) for start, steps in (
+            (poses[0, 0], c * ahead - s * left), (poses[0, 1], s * ahead + c * left)))
     return np.column_stack([x, y, wrap_all(headings)])
 
 

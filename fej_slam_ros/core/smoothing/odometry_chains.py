@@ -28,7 +28,6 @@ from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
 ROWS, COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 POSITIONS = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
-
 #: Number of factors at which a part of the chains ends: arrays of more leave the cache between
 #: two operations.
 MAX_PART = 16_384
