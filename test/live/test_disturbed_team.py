@@ -232,8 +232,11 @@ def test_a_team_disturbed_by_all_faults_ends_as_without_them(domain, tmp_path):
     assert status == 0, errors
     # Odometry is sent five times a second; the machine has other work, such as the killed peer's.
     assert max(gaps.values()) < 2.0
+    # Up to 180 MB in half an hour; it grows for 1,000 s, see docs/reliability.md.
+    assert memory.max() < 200.0
     half = len(memory) // 2
-    assert memory[half:].max() < memory[:half].max() + 20.0
+    if LOOPS > 5:
+        assert memory[half:].max() < memory[:half].max() + 20.0
     assert files[half:].max() <= files[:half].max() + 2
     # After its jumps r5 rejoins among landmarks of the map, at the latest after a loop.
     for name in NAMES if LOOPS > 1 else NAMES[:-1]:
