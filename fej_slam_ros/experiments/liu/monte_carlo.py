@@ -6,15 +6,17 @@ Monte Carlo runs: one world, repeated measurements, and the errors of each filte
 A run depends on its task only, so it is the same in any process and any selection of runs.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, wrap_all
-from fej_slam_ros.core.records import Record, TruePose
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, Step
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.experiments.liu.configurations import Configuration, TABLE_FILTERS
 from fej_slam_ros.sim.sensors import measure, SensorSettings
@@ -75,29 +77,19 @@ def table_runs(
 
 def simulate(task: MonteCarloTask) -> dict[str, Errors]:
     """Return the errors of each filter in a run."""
-    rng = np.random.default_rng(task.seed)
-    records = list(measure(task.world, task.sensors, rng))
-    return {name: estimate(task.world, records, name) for name in task.filters}
-
-
-def estimate(world: World, records: Sequence[Record], filter_name: str) -> Errors:
-    """Return the errors of one filter; the first robot's start is known, as in [Liu]."""
-    x, y, phi = world.true_poses[world.robots[0]][0].tolist()
-    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(world.robots, 1))
-    estimator = Estimator(Settings(
-        robots, anchor=robots[0].name, anchor_pose=(x, y, phi), filter=filter_name,
-        gate_probability=1.0, join_min_landmarks=NEVER_RESTART))
-    for record in records:
-        # True poses would make the estimator evaluate each step, which is done below at once.
-        if filter_name == 'ideal' or not isinstance(record, TruePose):
-            estimator.add(record)
-    steps = list(estimator.close())
-    poses = {
-        name: _pose_errors(
-            np.array([step.poses[i].pose for step in steps]) - world.true_poses[name],
-            np.array([step.poses[i].P for step in steps]))
-        for i, name in enumerate(world.robots)}
-    return Errors(poses, _landmark_errors(estimator, world))
+    rng, settings = np.random.default_rng(task.seed), _settings(task.world)
+    truth: list[Record] = []
+    # The order of the measurements is the same for all filters.
+    sequencer = Sequencer(settings, InputStatistics())
+    for record in measure(task.world, task.sensors, rng):
+        if isinstance(record, (Odometry, Scan, RobotScan)):
+            sequencer.add(record, None)
+        else:
+            truth.append(record)
+    steps = list(sequencer.release())
+    return {
+        name: _estimate(task.world, replace(settings, filter=name), truth, steps)
+        for name in task.filters}
 
 
 def stack(runs: Sequence[Errors]) -> Errors:
@@ -105,6 +97,33 @@ def stack(runs: Sequence[Errors]) -> Errors:
     return Errors(
         {name: np.stack([run.poses[name] for run in runs]) for name in runs[0].poses},
         np.stack([run.landmarks for run in runs]))
+
+
+def _settings(world: World) -> Settings:
+    """Return the parameters of a run; the first robot's start is known, as in [Liu]."""
+    x, y, phi = world.true_poses[world.robots[0]][0].tolist()
+    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(world.robots, 1))
+    return Settings(
+        robots, anchor=robots[0].name, anchor_pose=(x, y, phi), gate_probability=1.0,
+        join_min_landmarks=NEVER_RESTART)
+
+
+def _estimate(
+    world: World, settings: Settings, truth: Iterable[Record], steps: Iterable[Step]
+) -> Errors:
+    """Return the errors of one filter."""
+    estimator = Estimator(settings)
+    # For the others, true poses would make it evaluate each step, which is done below at once.
+    if settings.filter == 'ideal':
+        for record in truth:
+            estimator.add(record)
+    results = list(map(estimator.process, steps))
+    poses = {
+        name: _pose_errors(
+            np.array([result.poses[i].pose for result in results]) - world.true_poses[name],
+            np.array([result.poses[i].P for result in results]))
+        for i, name in enumerate(world.robots)}
+    return Errors(poses, _landmark_errors(estimator, world))
 
 
 def _pose_errors(errors: Array, P: Array) -> Array:
