@@ -66,24 +66,30 @@ class Quarantine:
         """
         for scan in step.scans:
             group = self._groups.of(scan.robot)
-            keys = {group.filter.landmark_key(scan.robot, s.id) for s in scan.observations}
-            if keys & group.state.landmarks.keys():
-                self._restart_if_turned(scan.robot, step.stamp, min_landmarks)
+            if self._has_turned(scan.robot, min_landmarks) and any(
+                    group.filter.landmark_key(scan.robot, s.id) in group.state.landmarks
+                    for s in scan.observations):
+                self._restart_turned(scan.robot, step.stamp)
         for robot_scan in step.robot_scans:
             for observation in robot_scan.observations:
                 pair = robot_scan.robot, observation.observed
                 if self._groups.of(pair[0]) is self._groups.of(pair[1]):
                     for robot in pair:
-                        self._restart_if_turned(robot, step.stamp, min_landmarks)
+                        if self._has_turned(robot, min_landmarks):
+                            self._restart_turned(robot, step.stamp)
 
-    def _restart_if_turned(self, name: str, stamp: int, min_landmarks: int) -> None:
-        group = self._groups.of(name)
-        sigma = math.sqrt(group.robots[name].turn_variance)
-        if (len(group.robots) > 1 and sigma > group.filter.linearization.max_turn_sigma
-                and _count_with_ids(group.state) >= min_landmarks):
-            self._restart(
-                name, stamp, f'its heading has become uncertain by {sigma:.2f} rad since it was'
-                ' last corrected')
+    def _has_turned(self, robot: str, min_landmarks: int) -> bool:
+        """Return whether a robot's heading is too uncertain, and it can join again."""
+        group = self._groups.of(robot)
+        return (
+            group.robots[robot].turn_variance > group.filter.linearization.max_turn_sigma ** 2
+            and len(group.robots) > 1 and _count_with_ids(group.state) >= min_landmarks)
+
+    def _restart_turned(self, robot: str, stamp: int) -> None:
+        sigma = math.sqrt(self._groups.of(robot).robots[robot].turn_variance)
+        self._restart(
+            robot, stamp,
+            f'its heading has become uncertain by {sigma:.2f} rad since it was last corrected')
 
     def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart the lost ones of some robots if they can join again, by landmarks with IDs."""

@@ -260,9 +260,13 @@ class Filter:
             robot, landmarks = self.state.robots[scan.robot], self.state.landmarks
             keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
             new = {key for key in keys if key not in landmarks}
-            is_first = bool(new) and self.state.is_without_earlier_landmarks(robot.stamp)
-            if new:
-                reserve(self.state.covariance, [2] * len(new))
+            if not new:
+                associations += [
+                    Association(robot, landmarks[key], s)
+                    for key, s in zip(keys, scan.observations)]
+                continue
+            is_first = self.state.is_without_earlier_landmarks(robot.stamp)
+            reserve(self.state.covariance, [2] * len(new))
             for key, observation in zip(keys, scan.observations):
                 if key in landmarks:
                     associations.append(Association(robot, landmarks[key], observation))
