@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from fej_slam_ros.core.geometry import Array, Indices, runs
+from fej_slam_ros.core.geometry import Array, distinct, Indices, runs
 
 #: Maximum number of elements of the fronts that are computed together: 16 MB for each of a few.
 MAX_ELEMENTS = 2_000_000
@@ -177,7 +177,7 @@ def _filled(pattern: csc_array, sizes: Indices) -> Sequence[Indices]:
     pairs = pattern.tocoo()
     row, column = block_of[pairs.row], block_of[pairs.col]
     later = row > column
-    keys = np.unique(column[later] * len(sizes) + row[later])
+    keys = distinct(column[later] * len(sizes) + row[later])
     column, row = np.divmod(keys, len(sizes))
     own = np.split(row, np.searchsorted(column, np.arange(1, len(sizes))))
     links = [set(linked.tolist()) for linked in own]

@@ -17,7 +17,7 @@ from scipy.sparse import csc_array, dia_array
 from scipy.sparse.linalg import splu, SuperLU
 
 from fej_slam_ros.core.gauss_newton import SingularError
-from fej_slam_ros.core.geometry import Array, Indices, runs
+from fej_slam_ros.core.geometry import Array, distinct, Indices, runs
 from fej_slam_ros.core.smoothing.inverse_blocks import inverse_blocks, InverseBlocks
 
 #: Smallest ratio of a pivot to its diagonal entry; below it the pivot is a rounded zero.
@@ -91,7 +91,7 @@ class NormalEquations:
         m = len(self._order)
         a, b = _linked(links, self._rank)
         # Sorted by column, then by row.
-        self._keys = np.unique(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
+        self._keys = distinct(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
         column, row = np.divmod(self._keys, m)
         ordered_sizes = sizes[self._order]
         self._heights = np.bincount(column, ordered_sizes[row], minlength=m).astype(np.intp)
