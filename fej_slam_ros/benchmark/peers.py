@@ -6,10 +6,10 @@ Comparison of the filter with alternatives on the same data.
 Robots with known starts and no known landmark move by 1 m and observe the nearest ten landmarks at
 every step, after which their poses and covariances are requested. There are two robots for peers
 that run in this process, one for those that know no more. The order changes from step to step,
-since some leave cold caches to the next.
+since some leave cold caches to the next; then each makes all steps alone, as on a core of its own.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from time import perf_counter
@@ -79,6 +79,7 @@ class PeerTime:
     steps: int  #: Number of steps
     times: Times  #: Of a step
     late: float  #: Mean over the last quarter of the steps [s]
+    alone: float  #: Mean while no other peer runs [s]
     rmse: float  #: Of the positions of both robots over all steps [m]
 
 
@@ -94,7 +95,7 @@ def peer_times(
     """Time the steps of all peers with a number of landmarks and two robots."""
     measured = drive(
         landmarks, steps, PEER_STRIDE, PEER_OBSERVATIONS, np.random.default_rng(landmarks))
-    return race({name: make() for name, make in {**PEERS, **others}.items()}, measured, landmarks)
+    return race({**PEERS, **others}, measured, landmarks)
 
 
 def one_robot_times(
@@ -104,18 +105,24 @@ def one_robot_times(
     measured = drive(
         landmarks, steps, PEER_STRIDE, PEER_OBSERVATIONS, np.random.default_rng(landmarks),
         robots=1, sensor=range_bearing)
-    peers = {name: make() for name, make in {OURS: PEERS[OURS], **others}.items()}
-    return race(peers, measured, landmarks)
+    return race({OURS: PEERS[OURS], **others}, measured, landmarks)
 
 
-def race(peers: Mapping[str, Peer], measured: SyntheticDrive, landmarks: int) -> list[PeerTime]:
-    """Let all peers make the same steps, and return their times and errors."""
-    seconds, errors = run_race(peers, measured.starts, measured.steps, measured.poses)
+def race(
+    peers: Mapping[str, Callable[[], Peer]], measured: SyntheticDrive, landmarks: int
+) -> list[PeerTime]:
+    """Let all peers make the same steps, together and alone; return their times and errors."""
+    def run(names: Iterable[str]) -> tuple[dict[str, list[float]], dict[str, Array]]:
+        made = {name: peers[name]() for name in names}
+        return run_race(made, measured.starts, measured.steps, measured.poses)
+
+    seconds, errors = run(peers)
+    alone = {name: run([name])[0][name] for name in peers}
     observed = {s.id for _, scans in measured.steps for scan in scans for s in scan.observations}
     return [
         PeerTime(
             name, landmarks, len(observed), len(of_steps), Times.of(of_steps),
-            float(np.mean(of_steps[-(len(of_steps) // 4):])),
+            float(np.mean(of_steps[-(len(of_steps) // 4):])), float(np.mean(alone[name])),
             root_mean_square(errors[name][..., :2].reshape(-1, 2)))
         for name, of_steps in seconds.items()]
 

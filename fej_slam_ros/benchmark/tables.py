@@ -27,8 +27,8 @@ DENSE_HEAD = (
 COMPRESSED_HEAD = (
     'compressed, us a step', *TIME_HEADS, 'mean / dense limit', 'submaps', 'difference')
 PEER_HEAD = (
-    'landmarks', 'found', *TIME_HEADS, 'last quarter', 'mean / ours',
-    'median / ours', 'RMSE [m]')
+    'landmarks', 'found', *TIME_HEADS, 'last quarter', 'mean / ours', 'median / ours',
+    'alone: mean', '/ ours', 'RMSE [m]')
 GROWTH_HEAD = 'ms a pose', 'poses', *TIME_HEADS, 'median / ours', 'mean / ours', 'RMSE [m]'
 SMOOTHER_HEAD = 'smoother, ms', 'unknowns', 'begin', 'factorisation', 'all marginals'
 BATCH_HEAD = (
@@ -80,11 +80,13 @@ def step_tables(machine: Machine, steps: Sequence[StepTime]) -> str:
 
 def peer_table(times: Sequence[PeerTime], head: str = 'ms a step') -> str:
     """Return the times of all peers, and their ratios to ours."""
-    ours = {time.landmarks: time.times for time in times if time.name == OURS}
+    ours = {time.landmarks: time for time in times if time.name == OURS}
     return text_table((head, *PEER_HEAD), [
         (time.name, str(time.landmarks), str(time.found), *_cells(time.times, 1e3, '.2f'),
-         f'{time.late * 1e3:.2f}', f'{time.times.mean / ours[time.landmarks].mean:.1f}',
-         f'{time.times.median / ours[time.landmarks].median:.1f}', f'{time.rmse:.3f}')
+         f'{time.late * 1e3:.2f}', f'{time.times.mean / ours[time.landmarks].times.mean:.1f}',
+         f'{time.times.median / ours[time.landmarks].times.median:.1f}',
+         f'{time.alone * 1e3:.2f}', f'{time.alone / ours[time.landmarks].alone:.1f}',
+         f'{time.rmse:.3f}')
         for time in times])
 
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Peers estimate the same from the same data."""
 
+from functools import partial
+
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -103,10 +105,12 @@ def test_all_peers_make_the_same_steps_in_all_orders():
     made = drive(10, 40, 1.0, 3, np.random.default_rng(2))
     asked = []
 
-    times = race({name: Diary(name, asked, made.poses) for name in 'abc'}, made, 10)
+    times = race(
+        {name: partial(Diary, name, asked, made.poses) for name in 'abc'}, made, 10)
 
     rounds = [''.join(asked[i:i + 3]) for i in range(0, 120, 3)]
     assert set(rounds) == {'abc', 'acb', 'bac', 'bca', 'cab', 'cba'}
+    assert asked[120:] == [*40 * 'a', *40 * 'b', *40 * 'c']  # then alone
     assert [time.steps for time in times] == [40, 40, 40]
     assert [time.rmse for time in times] == [0.0, 0.0, 0.0]
 

@@ -73,14 +73,15 @@ def test_every_size_has_its_row_beside_the_limit():
 
 def test_peers_are_compared_with_our_filter_at_the_same_number_of_landmarks():
     raced = [
-        PeerTime(name, landmarks, 15, 8, times(milliseconds), 0.01, 0.2)
-        for name, landmarks, milliseconds in (
-            (OURS, 20, 1.0), ('x', 20, 6.0), (OURS, 30, 2.0), ('x', 30, 6.0))]
+        PeerTime(name, landmarks, 15, 8, times(milliseconds), 0.01, alone, 0.2)
+        for name, landmarks, milliseconds, alone in (
+            (OURS, 20, 1.0, 0.5e-3), ('x', 20, 6.0, 5e-3), (OURS, 30, 2.0, 1e-3),
+            ('x', 30, 6.0, 4e-3))]
 
     rows = cells(report(MACHINE, {'peers': raced}), 'x')
 
-    assert [(row[1], row[8], row[9]) for row in rows] == [
-        ('20', '6.0', '6.0'), ('30', '3.0', '3.0')]
+    assert [(row[1], *row[8:12]) for row in rows] == [
+        ('20', '6.0', '6.0', '5.00', '10.0'), ('30', '3.0', '3.0', '4.00', '4.0')]
 
 
 def test_a_run_prints_and_writes_all_results(quick, tmp_path, capsys):
