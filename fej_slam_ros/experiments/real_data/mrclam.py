@@ -4,15 +4,15 @@
 MRCLAM sets, up to five real robots: each filter with and without robot-to-robot observations.
 
 All robots but the anchor have unknown starts. Ground truth is motion capture; times and robots
-without it are not evaluated.
+without it are not evaluated. Least squares has the same measurements and noise, later ones too.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,7 +21,10 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import (
-    Array, compose, inverse, poses_at, rigid_fit, transform, transform_poses, wrap_all)
+    Array, compose, Flags, Indices, inverse, pose_rotation, poses_at, rigid_fit, transform,
+    transform_poses, wrap_all)
+from fej_slam_ros.core.records import Record
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
@@ -29,27 +32,39 @@ from fej_slam_ros.datasets.mrclam.noise import best_options
 from fej_slam_ros.datasets.mrclam.series import Series
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.liu.metrics import root_mean_square
+from fej_slam_ros.experiments.real_data.causal_least_squares import (
+    causal_least_squares, CausalErrors)
 from fej_slam_ros.tables import markdown_table
 
 MRCLAM_FILTERS = ('standard', 'fej', 'invariant')
+CAUSAL_NOTES = """\
+The newest pose of each robot once a minute: of least squares over all until then, which is what a
+filter can reach with the same measurements and noise, and of `fej` at the same stamps."""
+CAUSAL_TITLES = (
+    'set', 'robot-to-robot observations', 'poses', 'least squares [m]', 'fej [m]')
+#: Name of the smoother's solution among the filters.
+LEAST_SQUARES = 'least squares'
 MRCLAM_NOTES = """\
 Robots run from the commands, scaled, delayed and with the noise that `convert mrclam` measures;
 all but the anchor have unknown starts. Position and heading errors are root mean squares over all
 true poses of all robots, as estimated (in the frame of the anchor's given start) and after one
 rigid fit of all robots; NEES/3 and NIS/2 are means. Landmarks are compared after the same fit.
-Robots without ground truth take part and are not evaluated. Dead reckoning starts each robot at
-its true pose."""
+Robots without ground truth take part and are not evaluated. Least squares is that of `smooth`; it
+knows the later measurements too. Dead reckoning starts each robot at its true pose."""
 MRCLAM_TITLES = (
     'set', 'filter', 'robot-to-robot observations', 'position [m]', 'after a fit [m]',
     'worst robot [m]', 'heading [rad]', 'after a fit [rad]', 'NEES/3', 'NIS/2', 'landmarks',
     'landmarks [m]', 'in map, least [%]', 'time [s]')
-#: A robot's pose after each step, and its pose by odometry alone.
-Steps = list[tuple[PoseEstimate, Array]]
 
 
 @dataclass(frozen=True)
 class MrclamTask:
-    """A run: folder of the set, filter, and whether robot-to-robot observations are used."""
+    """
+    A run: folder of the set, filter, and whether robot-to-robot observations are used.
+
+    The filter may be LEAST_SQUARES.
+
+    """
 
     folder: Path
     filter: str
@@ -73,16 +88,17 @@ class MrclamRun:
     fitted_position: float
     fitted_heading: float
     of_robots: Mapping[str, float]  #: Fitted position RMSE of each robot [m]
-    #: Means, divided by 3 and by 2.
-    nees: float
-    nis: float
+    nees: float  #: Mean, divided by 3
     #: Number of landmarks in the map, and in the data set.
     landmarks: int
     true_landmarks: int
     landmark_rmse: float  #: RMSE of the landmarks after the same fit [m]
     in_map: Mapping[str, float]  #: Fraction of each robot's poses that are in the common map
-    dead_reckoning: Mapping[str, float]  #: Position RMSE of odometry alone, of each robot [m]
     seconds: float  #: Processing time
+    #: Of a filter: mean NIS, divided by 2, and position RMSE of odometry alone, of each robot [m].
+    nis: float | None = None
+    dead_reckoning: Mapping[str, float] = field(default_factory=dict)
+    causal: CausalErrors | None = None  #: Of least squares
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +109,16 @@ class MrclamErrors:
     estimated: Array
     true: Array
     nees: Array  #: (n,) array, NEES/3
-    #: (m, 2) array, position errors of odometry alone, also before the robot is in ``map``.
-    drift: Array
     in_map: float  #: Fraction of all its steps that are in ``map``
+
+
+class Trajectory(NamedTuple):
+    """The estimates of a robot."""
+
+    stamps: Indices  #: (k,) array [ns]
+    poses: Array  #: (k, 3) array
+    P: Array  #: (k, 3, 3) array, their covariances
+    in_map: Flags  #: (k,) array, whether the pose is in ``map``
 
 
 def sets(folder: Path) -> tuple[list[Path], dict[str, str]]:
@@ -133,7 +156,7 @@ def tasks(folders: Sequence[Path]) -> list[MrclamTask]:
     """Return all runs on some sets."""
     return [
         MrclamTask(folder, name, used) for folder in folders for used in (True, False)
-        for name in MRCLAM_FILTERS]
+        for name in (*MRCLAM_FILTERS, LEAST_SQUARES)]
 
 
 def run(task: MrclamTask) -> MrclamRun:
@@ -141,21 +164,68 @@ def run(task: MrclamTask) -> MrclamRun:
     data, options = _evaluable(task.folder)
     options = replace(options, robot_observations=task.robots_seen)
     data = conversion.with_known_anchor(data, options)
-    estimator = Estimator(replace(conversion.settings(data, options), filter=task.filter))
+    settings = conversion.settings(data, options)
     counts: dict[int, Counter[str]] = {robot: Counter() for robot in data.logs}
-    steps: defaultdict[str, Steps] = defaultdict(list)
-    begin = time.perf_counter()
-    for result in estimator.run(conversion.records(data, options, counts)):
+    records = conversion.records(data, options, counts)
+    if task.filter == LEAST_SQUARES:
+        return _smoothed(task, data, settings, records)
+    return _filtered(task, data, replace(settings, filter=task.filter), records)
+
+
+def _filtered(
+    task: MrclamTask, data: MrclamSet, settings: Settings, records: Iterable[Record]
+) -> MrclamRun:
+    estimator, begin = Estimator(settings), time.perf_counter()
+    estimates: defaultdict[str, list[PoseEstimate]] = defaultdict(list)
+    odometry: defaultdict[str, list[Array]] = defaultdict(list)
+    for result in estimator.run(records):
         for estimate in result.poses:
-            steps[estimate.robot].append((estimate, result.odometry[estimate.robot]))
+            estimates[estimate.robot].append(estimate)
+            odometry[estimate.robot].append(result.odometry[estimate.robot])
     seconds = time.perf_counter() - begin
-    errors = {}
-    for robot, log in data.logs.items():
-        of_robot = steps[robot_name(robot)]
-        true = log.truth.between(of_robot[0][0].stamp, of_robot[-1][0].stamp)
-        if len(true):
-            errors[robot_name(robot)] = _errors(of_robot, true)
-    return _evaluated(task, estimator, errors, data.landmarks, seconds)
+    monitors = estimator.innovations.nis.values()
+    if not any(monitor.dof for monitor in monitors):
+        raise UserError(_nothing_observed_twice(task))
+    trajectories = {name: _trajectory(of) for name, of in estimates.items()}
+    return replace(
+        _evaluated(
+            task, data, trajectories,
+            {landmark.id: landmark.position for landmark in estimator.landmarks()}, seconds),
+        nis=mean_nis(monitors), dead_reckoning={
+            name: _drift(trajectories[name].stamps, np.array(odometry[name]), true)
+            for name, true in _truth(data, trajectories).items()})
+
+
+def _smoothed(
+    task: MrclamTask, data: MrclamSet, settings: Settings, records: Iterable[Record]
+) -> MrclamRun:
+    begin = time.perf_counter()
+    team, causal = causal_least_squares(settings, records)
+    seconds = time.perf_counter() - begin
+    of_anchor = next(
+        (of for of in team.solution.maps if settings.anchor in of.trajectories), None)
+    if of_anchor is None:
+        raise UserError(_nothing_observed_twice(task))
+    # As long as no other robot has joined, a map has the frame of its robot's first pose.
+    start = np.zeros(3) if of_anchor.frame == MAP else np.array(settings.anchor_pose)
+    C = pose_rotation(start[2])
+    trajectories = {
+        name: Trajectory(
+            np.array(of.stamps), transform_poses(start, of.poses()), C @ of.covariances() @ C.T,
+            np.full(len(of.stamps), name in of_anchor.trajectories))
+        for name, of in team.trajectories.items()}
+    landmarks = {
+        id_: point for ((_, id_), *_), point in zip(
+            of_anchor.landmarks, transform(start, of_anchor.points))}
+    return replace(_evaluated(task, data, trajectories, landmarks, seconds), causal=causal)
+
+
+def _trajectory(estimates: Sequence[PoseEstimate]) -> Trajectory:
+    return Trajectory(
+        np.array([estimate.stamp for estimate in estimates]),
+        np.array([estimate.pose for estimate in estimates]),
+        np.array([estimate.P for estimate in estimates]),
+        np.array([estimate.frame == MAP for estimate in estimates]))
 
 
 def markdown(runs: Sequence[MrclamRun]) -> str:
@@ -163,9 +233,12 @@ def markdown(runs: Sequence[MrclamRun]) -> str:
     first_of_set = {of.task.name: of for of in reversed(runs)}
     drifts = [
         f'{name}: {", ".join(f"{robot} {e:.2f}" for robot, e in of.dead_reckoning.items())}'
-        for name, of in sorted(first_of_set.items())]
+        for name, of in sorted(first_of_set.items()) if of.dead_reckoning]
     return '\n\n'.join([
         '# MRCLAM', MRCLAM_NOTES, markdown_table(MRCLAM_TITLES, map(_row, runs), (0, 1, 2)),
+        CAUSAL_NOTES, markdown_table(CAUSAL_TITLES, [
+            _causal_row(of.task, of.causal) for of in runs if of.causal and of.causal.poses],
+            (0, 1)),
         f'Dead reckoning, position RMSE [m]: {"; ".join(drifts)}.']) + '\n'
 
 
@@ -189,37 +262,44 @@ def _evaluable(folder: Path) -> tuple[MrclamSet, ConversionOptions]:
     return data, options
 
 
-def _errors(steps: Steps, truth: Series) -> MrclamErrors:
-    """Return a robot's errors at stamps with ground truth between its first and last step."""
-    stamps = np.array([estimate.stamp for estimate, _ in steps])
-    in_map = np.array([estimate.frame == MAP for estimate, _ in steps])
-    after = np.searchsorted(stamps, truth.stamps)
-    used = in_map[after] & in_map[(after - 1).clip(0)]
-    poses = np.array([estimate.pose for estimate, _ in steps])
-    estimated = poses_at(truth.stamps, stamps, poses)[used]
+def _truth(data: MrclamSet, trajectories: Mapping[str, Trajectory]) -> dict[str, Series]:
+    """Return the true poses between the first and last estimate of each robot that has some."""
+    between = {
+        name: log.truth.between(trajectories[name].stamps[0], trajectories[name].stamps[-1])
+        for robot, log in data.logs.items() for name in [robot_name(robot)]}
+    return {name: truth for name, truth in between.items() if len(truth)}
+
+
+def _errors(of: Trajectory, truth: Series) -> MrclamErrors:
+    """Return a robot's errors at stamps with ground truth between its first and last estimate."""
+    after = np.searchsorted(of.stamps, truth.stamps)
+    used = of.in_map[after] & of.in_map[(after - 1).clip(0)]
+    estimated = poses_at(truth.stamps, of.stamps, of.poses)[used]
     error = estimated - truth.rows[used]
     error[:, 2] = wrap_all(error[:, 2])
-    P = np.array([estimate.P for estimate, _ in steps])[after][used]
-    # Odometry is aligned with the first true pose.
-    odometry = poses_at(truth.stamps, stamps, np.array([pose for _, pose in steps]))
-    begin = compose(truth.rows[0], inverse(odometry[0]))
-    drift = transform_poses(begin, odometry) - truth.rows
     return MrclamErrors(
-        estimated, truth.rows[used], nees_per_dof(error, P), drift[:, :2], float(in_map.mean()))
+        estimated, truth.rows[used], nees_per_dof(error, of.P[after][used]),
+        float(of.in_map.mean()))
+
+
+def _drift(stamps: Indices, odometry: Array, truth: Series) -> float:
+    """Return the position RMSE [m] of odometry that begins at the first true pose."""
+    poses = poses_at(truth.stamps, stamps, odometry)
+    begin = compose(truth.rows[0], inverse(poses[0]))
+    return root_mean_square((transform_poses(begin, poses) - truth.rows)[:, :2])
 
 
 def _evaluated(
-    task: MrclamTask, estimator: Estimator, errors: Mapping[str, MrclamErrors],
-    true_landmarks: Mapping[int, Array], seconds: float,
+    task: MrclamTask, data: MrclamSet, trajectories: Mapping[str, Trajectory],
+    landmarks: Mapping[int, Array], seconds: float,
 ) -> MrclamRun:
-    landmarks = estimator.landmarks()
+    errors = {
+        name: _errors(trajectories[name], truth)
+        for name, truth in _truth(data, trajectories).items()}
     points = [
-        (landmark.position, true_landmarks[landmark.id])
-        for landmark in landmarks if landmark.id in true_landmarks]
-    if not points or not any(monitor.dof for monitor in estimator.innovations.nis.values()):
-        raise UserError(
-            f'{task.folder} has no known landmark that is observed twice to evaluate with: take'
-            ' another set, or convert and replay it')
+        (point, data.landmarks[id_]) for id_, point in landmarks.items() if id_ in data.landmarks]
+    if not points:
+        raise UserError(_nothing_observed_twice(task))
     mapped, true_points = map(np.array, zip(*points))
     estimated = np.vstack([of_robot.estimated for of_robot in errors.values()])
     true = np.vstack([of_robot.true for of_robot in errors.values()])
@@ -229,10 +309,15 @@ def _evaluated(
         {name: _rmse(transform_poses(fit, of_robot.estimated), of_robot.true)[0]
          for name, of_robot in errors.items() if len(of_robot.estimated)},
         float(np.concatenate([of_robot.nees for of_robot in errors.values()]).mean()),
-        mean_nis(estimator.innovations.nis.values()), len(landmarks), len(true_landmarks),
+        len(landmarks), len(data.landmarks),
         root_mean_square(transform(fit, mapped) - true_points),
-        {name: of_robot.in_map for name, of_robot in errors.items()},
-        {name: root_mean_square(of_robot.drift) for name, of_robot in errors.items()}, seconds)
+        {name: of_robot.in_map for name, of_robot in errors.items()}, seconds)
+
+
+def _nothing_observed_twice(task: MrclamTask) -> str:
+    return (
+        f'{task.folder} has no known landmark that is observed twice to evaluate with: take'
+        ' another set, or convert and replay it')
 
 
 def _rmse(estimated: Array, true: Array) -> tuple[float, float]:
@@ -245,6 +330,13 @@ def _row(of: MrclamRun) -> list[str]:
     return [
         of.task.name, of.task.filter, 'used' if of.task.robots_seen else 'not used',
         f'{of.position:.3f}', f'{of.fitted_position:.3f}', f'{max(of.of_robots.values()):.3f}',
-        f'{of.heading:.4f}', f'{of.fitted_heading:.4f}', f'{of.nees:.2f}', f'{of.nis:.2f}',
+        f'{of.heading:.4f}', f'{of.fitted_heading:.4f}', f'{of.nees:.2f}',
+        '' if of.nis is None else f'{of.nis:.2f}',
         f'{of.landmarks} of {of.true_landmarks}', f'{of.landmark_rmse:.3f}',
         f'{100.0 * min(of.in_map.values()):.1f}', f'{of.seconds:.0f}']
+
+
+def _causal_row(task: MrclamTask, causal: CausalErrors) -> list[str]:
+    return [
+        task.name, 'used' if task.robots_seen else 'not used', str(causal.poses),
+        f'{causal.least_squares:.3f}', f'{causal.filter:.3f}']
