@@ -179,34 +179,16 @@ class Estimator:
 
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that wait for no more input."""
-        return map(self.process, self.sequencer.take())
+        return map(self._checked_step, self.sequencer.take())
 
     def release(self) -> Iterator[StepResult]:
         """Yield all steps that the input so far allows, without waiting for more."""
-        return map(self.process, self.sequencer.release())
+        return map(self._checked_step, self.sequencer.release())
 
     def close(self) -> Iterator[StepResult]:
         """Yield the last steps at the end of the input."""
         yield from self.release()
         self.sequencer.close()
-
-    def process(self, step: Step) -> StepResult:
-        """
-        Process a step of a `Sequencer`; `take`, `release` and `close` do it for the own one.
-
-        Raises
-        ------
-        BrokenEstimateError
-            If the step exceeds the range or precision of floating-point numbers.
-
-        """
-        try:
-            result = self._step(step)
-        except (ArithmeticError, np.linalg.LinAlgError) as error:
-            raise BrokenEstimateError(step.stamp, str(error)) from error
-        if not all(math.isfinite(sum(map(sum, pose.P.tolist()))) for pose in result.poses):
-            raise BrokenEstimateError(step.stamp, 'covariance not finite')
-        return result
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
@@ -255,6 +237,15 @@ class Estimator:
         self._joiner.change_settings(settings)
         self.sequencer.change_limits(settings)
         self._matcher = JointCompatibilityMatcher(settings.match_probability)
+
+    def _checked_step(self, step: Step) -> StepResult:
+        try:
+            result = self._step(step)
+        except (ArithmeticError, np.linalg.LinAlgError) as error:
+            raise BrokenEstimateError(step.stamp, str(error)) from error
+        if not all(math.isfinite(sum(map(sum, pose.P.tolist()))) for pose in result.poses):
+            raise BrokenEstimateError(step.stamp, 'covariance not finite')
+        return result
 
     def _step(self, step: Step) -> StepResult:
         """Process one stamp: predict, start landmarks, update, join."""

@@ -175,8 +175,8 @@ def test_odometry_is_handled_in_the_middle_of_a_step(domain, monkeypatch):
         seen.append(step.stamp)
         return step_of(self, step)
 
-    step_of = Estimator.process
-    monkeypatch.setattr(Estimator, 'process', long_step)
+    step_of = Estimator._checked_step  # noqa: SLF001
+    monkeypatch.setattr(Estimator, '_checked_step', long_step)
     domain.send(*(raw_record(odometry(robot, 440)) for robot in ('r1', 'r2')))
     domain.until(lambda: seen)
 

@@ -6,7 +6,7 @@ Monte Carlo runs: one world, repeated measurements, and the errors of each filte
 A run depends on its task only, so it is the same in any process and any selection of runs.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,7 +79,6 @@ def simulate(task: MonteCarloTask) -> dict[str, Errors]:
     """Return the errors of each filter in a run."""
     rng, settings = np.random.default_rng(task.seed), _settings(task.world)
     truth: list[Record] = []
-    # The order of the measurements is the same for all filters.
     sequencer = Sequencer(settings, InputStatistics())
     for record in measure(task.world, task.sensors, rng):
         if isinstance(record, (Odometry, Scan, RobotScan)):
@@ -90,6 +89,17 @@ def simulate(task: MonteCarloTask) -> dict[str, Errors]:
     return {
         name: _estimate(task.world, replace(settings, filter=name), truth, steps)
         for name in task.filters}
+
+
+class _Ordered(Sequencer):
+    """Measurements of which the steps are known: they are the same for all filters."""
+
+    def __init__(self, settings: Settings, steps: Iterable[Step]) -> None:
+        super().__init__(settings, InputStatistics())
+        self._steps = steps
+
+    def release(self) -> Iterator[Step]:
+        yield from self._steps
 
 
 def stack(runs: Sequence[Errors]) -> Errors:
@@ -117,7 +127,8 @@ def _estimate(
     if settings.filter == 'ideal':
         for record in truth:
             estimator.add(record)
-    results = list(map(estimator.process, steps))
+    estimator.sequencer = _Ordered(settings, steps)
+    results = list(estimator.close())
     poses = {
         name: _pose_errors(
             np.array([result.poses[i].pose for result in results]) - world.true_poses[name],
