@@ -156,14 +156,16 @@ def candidate_pairs(
     variables = observation_columns([robot] * len(landmarks), landmarks)
     columns = variables.columns
     H = KERNEL.H(linearization.observation_points(state, variables))
-    HPH = H @ state.covariance.blocks(columns) @ H.transpose(0, 2, 1)
     z, R = np.array([s.z for s in observations]), np.array([s.R for s in observations])
     r = z[:, None] - KERNEL.h(state.estimates_of(columns))
-    # A cheap first test: d2 is at least |r|^2 / tr S.
-    trace = np.trace(HPH, axis1=1, axis2=2) + np.trace(R, axis1=1, axis2=2)[:, None]
-    i, f = np.nonzero(r[:, :, 0] ** 2 + r[:, :, 1] ** 2 < MAX_PAIR_D2 * trace)
-    near = squared_distances(r[i, f], HPH[f] + R[i]) < MAX_PAIR_D2
-    i, f = i[near], f[near]
+    # Cheap tests come first: d2 is at least |r|^2 / tr S.
+    distance2, trace_R = np.square(r).sum(axis=2), np.trace(R, axis1=1, axis2=2)
+    i, f = np.nonzero(distance2 < MAX_PAIR_D2 * (
+        _trace_bounds(state, robot, H, columns) + trace_R[:, None]))
+    near, f_near = np.unique(f, return_inverse=True)
+    HPH = H[near] @ state.covariance.blocks(columns[near]) @ H[near].transpose(0, 2, 1)
+    is_candidate = squared_distances(r[i, f], HPH[f_near] + R[i]) < MAX_PAIR_D2
+    i, f = i[is_candidate], f[is_candidate]
     noise = 0.5 * np.log(np.linalg.det(R))[i]
     if len(i) > MAX_PAIRS:
         return CandidatePairs(
@@ -173,6 +175,18 @@ def candidate_pairs(
         _innovation_covariance(state, H[f], columns[f], R[i]))
     d2, gains, _ = pairs.weights_given_others
     return replace(pairs, max_gain=gains + 0.5 * d2)
+
+
+def _trace_bounds(state: JointState, robot: Robot, H: Array, columns: Indices) -> Array:
+    """
+    Return upper bounds (l,) of tr H P H^T of observations of l landmarks by a robot.
+
+    The variance of a sum is at most twice the sum of the variances, here of robot and landmark.
+
+    """
+    of_robot = np.einsum('lij,jk,lik->l', H[:, :, :3], state.marginal([robot]), H[:, :, :3])
+    bounds: Array = 2.0 * (of_robot + state.covariance.variance_bounds(columns[:, 3:]))
+    return bounds
 
 
 def _innovation_covariance(state: JointState, H: Array, columns: Indices, R: Array) -> Array:

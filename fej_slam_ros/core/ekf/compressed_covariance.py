@@ -15,9 +15,10 @@ of g is theta. Nothing is approximated.
 
 A state l of B may enter A at any time, as if it had been in A from the start: its covariance with
 A and g is P_lA(0) cov(g, .), and its own proxy has covariance 1 with it and 0 with all others.
+Any state may be removed: the proxies and P_BA(0) stay, by which the states of B follow.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 
 import numpy as np
@@ -56,8 +57,11 @@ class CompressedCovariance:
         # States outside are read often from now on.
         whole.matrix.settle()
         self._whole = whole
-        self._initial_members = self._members = members
-        # States of the core: initial members, their proxies, new members.
+        self._members = members
+        #: P_lA(0) of all states l from before the submap, in the order of the proxies; as many
+        #: columns as there are proxies, and zero columns for more
+        self._P_lA: Array = whole.matrix.columns(members)[:whole.dimension]
+        # States of the core: members, their proxies, new members.
         P, I_a = whole.matrix.at(members[:, None], members), np.eye(a)
         self._core = Covariance()
         self._core.insert(np.block([[P, I_a], [I_a, np.zeros((a, a))]]))
@@ -93,7 +97,7 @@ class CompressedCovariance:
         total for steady growth, or when it would exceed the joint state.
 
         """
-        n, a, members = self.dimension, len(self._initial_members), len(self._members)
+        n, a, members = self.dimension, len(self._proxies), len(self._members)
         leaving = n * a * (n + 2 * (a + members))
         if LEAVING_RATE * self._flops_of_growth >= leaving:
             return None
@@ -107,7 +111,7 @@ class CompressedCovariance:
     def _entered(self, states: Indices, x_hat: Array) -> Array:
         """Let states from outside enter; return the estimate (n,) with them."""
         P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
-        P_lA, k, b = P.at(states[:, None], self._initial_members), core.dimension, len(states)
+        P_lA, k, b = self._prior_cross(states), core.dimension, len(states)
         x_hat[states] += P_lA @ self._theta
         cross = P_lA @ core.columns(self._proxies)[:k].T
         P_l = P.at(states[:, None], states) + cross[:, self._proxies] @ P_lA.T
@@ -117,7 +121,7 @@ class CompressedCovariance:
         core.lower[start:start + b, start:start + b] = P_l
         core.lower[start + b:start + 2 * b, start:start + b] = I_b
         self._core_index[states] = entered
-        self._initial_members = np.append(self._initial_members, states)
+        self._add_prior_cross(P.columns(states)[:len(self._P_lA)])
         self._members = np.append(self._members, states)
         self._proxies = np.append(self._proxies, proxies)
         self._theta = np.append(self._theta, np.zeros(b))
@@ -162,6 +166,14 @@ class CompressedCovariance:
         P: Array = rows_P @ rows.reshape(k, d, -1).transpose(0, 2, 1)
         return P + np.where(both, self._whole.blocks(indices), 0.0)
 
+    def variance_bounds(self, indices: Indices) -> Array:
+        """Return upper bounds (k,) of the traces of `blocks`: outside, those from the start."""
+        variances, inside = self._whole.matrix.at(indices, indices), ~self._is_outside(indices)
+        in_core = self._core_index[indices[inside]]
+        variances[inside] = self._core.matrix.at(in_core, in_core)
+        bounds: Array = variances.sum(axis=1)
+        return bounds
+
     def insert(self, P: Array) -> Slot:
         """Add states with covariance P (d, d), independent of all others."""
         return self._add_member(self._core.insert(P))
@@ -174,6 +186,25 @@ class CompressedCovariance:
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
         """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
         return self._add_member(self._core.augment(self._slot(parent), F, N))
+
+    def remove(self, slots: Sequence[Slot], others: Iterable[Slot]) -> None:
+        """Marginalise variables out; `others` are the slots of all others, which move up."""
+        removed = np.sort(joint_indices(slots))
+        in_core = np.sort(self._core_index[removed])
+        in_core = in_core[in_core >= 0]
+        place, place_in_core = (
+            np.cumsum(~np.isin(np.arange(n), gone)) - 1
+            for n, gone in ((self.dimension, removed), (self._core.dimension, in_core)))
+        self._whole.remove(slots, others)
+        if len(in_core):
+            self._core.matrix.remove(in_core)
+        rows = removed[removed < len(self._P_lA)]
+        if len(rows):
+            self._P_lA = np.delete(self._P_lA, rows, axis=0)
+        self._members = place[np.setdiff1d(self._members, removed)]
+        self._proxies = place_in_core[self._proxies]
+        core_index = np.delete(self._core_index, removed)
+        self._core_index = np.where(core_index < 0, -1, place_in_core[core_index])
 
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
         """Apply P <- Phi P Phi^T + N, eq. (4), to a variable of the submap."""
@@ -208,7 +239,8 @@ class CompressedCovariance:
         n, members = self.dimension, self._members
         core, P = self._core_index[members], self._core.matrix
         P.settle()
-        P_BA = self._whole.matrix.columns(self._initial_members)
+        P_BA = np.zeros((len(self._whole.matrix.lower), len(self._proxies)), order='F')
+        P_BA[:len(self._P_lA)] = self._P_lA[:, :len(self._proxies)]
         pause()
         Phi = P.at(core[:, None], self._proxies)
         minus_Psi = P.at(self._proxies[:, None], self._proxies)
@@ -233,7 +265,7 @@ class CompressedCovariance:
         k, d = indices.shape
         P, others = np.empty((k, d, d)), indices[outside]
         P[~outside] = self._core.blocks(self._core_index[indices[~outside]])
-        P_BA = self._whole.matrix.at(others.reshape(-1, 1), self._initial_members)
+        P_BA = self._prior_cross(others.ravel())
         minus_Psi = self._core.matrix.at(self._proxies[:, None], self._proxies)
         P_BA_Psi = product(P_BA, minus_Psi).reshape(len(others), d, -1)
         P_AB = P_BA.reshape(len(others), d, -1).transpose(0, 2, 1)
@@ -252,8 +284,7 @@ class CompressedCovariance:
     def _pending(self, indices: Indices) -> Array:
         """Return P_BA(0) theta of states outside the submap, and 0 inside."""
         change, outside = np.zeros(indices.shape), self._is_outside(indices)
-        change[outside] = self._whole.matrix.at(
-            indices[outside][:, None], self._initial_members) @ self._theta
+        change[outside] = self._prior_cross(indices[outside]) @ self._theta
         return change
 
     def _combinations(self, indices: Indices) -> Array:
@@ -261,9 +292,22 @@ class CompressedCovariance:
         outside = self._is_outside(indices)
         rows = np.zeros((len(indices), self._core.dimension))
         rows[~outside, self._core_index[indices[~outside]]] = 1.0
-        rows[np.ix_(outside, self._proxies)] = self._whole.matrix.at(
-            indices[outside][:, None], self._initial_members)
+        rows[np.ix_(outside, self._proxies)] = self._prior_cross(indices[outside])
         return rows
+
+    def _prior_cross(self, outside: Indices) -> Array:
+        """Return P_lA(0) (k, a) of k states outside, in the order of the proxies."""
+        P_lA: Array = self._P_lA[outside, :len(self._proxies)]
+        return P_lA
+
+    def _add_prior_cross(self, columns: Array) -> None:
+        """Add columns of P_lA(0) for proxies that are to be added."""
+        count, needed = len(self._proxies), len(self._proxies) + columns.shape[1]
+        if needed > self._P_lA.shape[1]:
+            stored = np.zeros((len(self._P_lA), 2 * needed), order='F')
+            stored[:, :count] = self._P_lA[:, :count]
+            self._P_lA = stored
+        self._P_lA[:, count:needed] = columns
 
     def _P_core(self) -> Array:
         every = np.arange(self._core.dimension)

@@ -117,6 +117,11 @@ class Covariance:
         """Return the covariances (k, d, d) of k groups of d states, given by indices (k, d)."""
         return self.matrix.at(indices[:, :, None], indices[:, None, :])
 
+    def variance_bounds(self, indices: Indices) -> Array:
+        """Return upper bounds (k,) of the traces of `blocks`: the traces themselves."""
+        traces: Array = self.matrix.at(indices, indices).sum(axis=1)
+        return traces
+
     def current_estimates(self, x: Array, indices: Indices) -> Array:
         """Return estimates x of the states `indices` with all corrections, which they have."""
         return x
@@ -146,9 +151,10 @@ class Covariance:
     def remove(self, slots: Sequence[Slot], others: Iterable[Slot]) -> None:
         """Marginalise variables out; `others` are the slots of all others, which move up."""
         removed = np.sort(joint_indices(slots))
-        self.matrix.keep(np.delete(np.arange(self.dimension), removed))
+        self.matrix.remove(removed)
         for other in others:
-            other.start -= int(np.searchsorted(removed, other.start))
+            if other.start > removed[0]:
+                other.start -= int(np.searchsorted(removed, other.start))
 
     def propagate(self, slot: Slot, Phi: Array, N: Array) -> None:
         """Apply P <- Phi P Phi^T + N, eq. (4), to a variable of d states: 2 d^2 n flops."""

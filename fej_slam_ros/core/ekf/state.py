@@ -307,15 +307,15 @@ class JointState(VariableSet):
         self.remove_all([variable])
 
     def remove_all(self, variables: Sequence[Variable]) -> None:
-        """Marginalise some variables out, at the cost of one."""
+        """Marginalise some variables out, at the cost of one, without leaving a submap."""
         if not variables:
             return
         slots = [variable.slot for variable in variables]
         for variable in variables:
             self._discard(variable)
-        whole, removed = self.whole(), joint_indices(slots)
+        removed = joint_indices(slots)
         self.x_hat, self.x_first = np.delete(self.x_hat, removed), np.delete(self.x_first, removed)
-        whole.remove(slots, [other.slot for other in self.variables()])
+        self.covariance.remove(slots, [other.slot for other in self.variables()])
 
     def move(self, robot: Robot, stamp: int, pose: Array) -> None:
         """Set a robot to its predicted pose, which is its first estimate at this stamp."""

@@ -198,14 +198,17 @@ class SymmetricMatrix:
             stored[:n, part] = self._lower[:n, part]
         return stored
 
-    def keep(self, indices: Indices) -> None:
-        """Delete all rows and columns but those of the indices."""
+    def remove(self, indices: Indices) -> None:
+        """Delete the rows and columns of the indices, which are in order."""
         self.settle()
-        n, k = self.dimension, len(indices)
-        self.dimension = k
-        # In place: row and column numbers only decrease.
-        for part in ranges(k, PIECE_ELEMENTS / max(k, 1)):
-            self._lower[:k, part] = self._lower[indices[:, None], indices[part]]
+        n, first = self.dimension, int(indices[0])
+        later = np.delete(np.arange(first, n), indices - first)
+        k = self.dimension = first + len(later)
+        # In place, since row and column numbers only decrease.
+        for part in ranges(k, PIECE_ELEMENTS / max(len(later), 1)):
+            columns = np.arange(part.start, part.stop)
+            columns[columns >= first] = later[columns[columns >= first] - first]
+            self._lower[first:k, part] = self._lower[later[:, None], columns]
         self._lower[k:n] = 0.0
 
 
