@@ -103,6 +103,8 @@ class CommonSettings(NoiseSettings):
     anchor_pose: Triple = parameter(
         (0.0, 0.0, 0.0), POSE, 'initial pose of the anchor in map', 'm, m, rad')
     _: KW_ONLY
+    anchor_sigma: Triple = parameter(
+        (0.0, 0.0, 0.0), POSE_SIGMA, 'standard deviations of anchor_pose', 'm, m, rad')
     gate_probability: float = parameter(
         0.999, PROBABILITY, 'chi-square gate on observations; 1.0 disables it', changeable=True)
     max_delay: float = parameter(
@@ -145,8 +147,6 @@ class SmootherSettings(CommonSettings):
 class EstimatorSettings(CommonSettings):
     """The settings of one estimator."""
 
-    anchor_sigma: Triple = parameter(
-        (0.0, 0.0, 0.0), POSE_SIGMA, 'standard deviations of anchor_pose', 'm, m, rad')
     initialpose_robot: str = parameter(
         '', TEXT, 'robot that the topic initialpose of RViz is for', changeable=True,
         default='the only robot; with several, initialpose is not used')

@@ -168,6 +168,7 @@ class TeamSmoother:
                 if name in self.trajectories and not self.trajectories[name].is_empty()),
             tuple(sorted(self._measurements, key=lambda m: m.stamp)),
             settings.anchor, np.array(settings.anchor_pose),
+            np.diag(np.square(settings.anchor_sigma)),
             JoinRules(
                 settings.join_min_landmarks,
                 max(settings.join_probability, DEFAULT_RULES.probability)),

@@ -33,10 +33,11 @@ class SmoothingTask:
     maps: tuple[LocalMap, ...]  #: local maps, the anchor's first; their values are the start
     #: robot-to-robot observations in the order of time
     measurements: tuple[RendezvousMeasurement, ...]
-    #: anchor, anchor_pose: name of the robot whose pose 0 is known, '' for none, and this pose
-    #: (3,) in ``map`` [m, m, rad]
+    #: anchor, anchor_pose, P_anchor: name of the robot whose pose 0 is known, '' for none, this
+    #: pose (3,) in ``map`` [m, m, rad] and its covariance (3, 3)
     anchor: str
     anchor_pose: Array
+    P_anchor: Array
     rules: JoinRules = DEFAULT_RULES  #: conditions for joining
     #: probability that no correct observation of a robot is removed; 1.0 keeps all
     gate_probability: float = 1.0
@@ -142,7 +143,7 @@ def _in_map_frame(solved: SmoothedMap, task: SmoothingTask) -> SmoothedMap:
         return solved
     anchor = task.anchor_pose
     C, C_pose = rotation(anchor[2]), pose_rotation(anchor[2])
-    return replace(
+    turned = replace(
         solved, frame=MAP,
         trajectories={
             robot: replace(
@@ -153,6 +154,37 @@ def _in_map_frame(solved: SmoothedMap, task: SmoothingTask) -> SmoothedMap:
             robot: BaseNode(compose(anchor, b.pose), C_pose @ b.P @ C_pose.T)
             for robot, b in solved.base_nodes.items()},
         points=transform(anchor, solved.points), P=C @ solved.P @ C.T)
+    return _with_frame_error(turned, anchor, task.P_anchor) if task.P_anchor.any() else turned
+
+
+def _with_frame_error(solved: SmoothedMap, origin: Array, P: Array) -> SmoothedMap:
+    """Return a map in a frame whose origin (3,) is uncertain itself, with covariance P (3, 3)."""
+    def added(x: Array) -> Array:
+        """Return the covariance (n, 3, 3) that poses or points x (n, d) gain."""
+        G = _frame_jacobians(x[:, :2] - origin[:2])
+        of_frame: Array = G @ P @ G.transpose(0, 2, 1)
+        return of_frame
+
+    trajectories = {}
+    for robot, x in solved.trajectories.items():
+        near = solved.points[x.landmarks[x.near.landmarks]]
+        G_pose, *G_points = _frame_jacobians(np.vstack([x.poses[-1:, :2], near]) - origin[:2])
+        G = np.vstack([G_pose, *(G_point[:2] for G_point in G_points)])
+        trajectories[robot] = replace(
+            x, P=x.P + added(x.poses), near=replace(x.near, P=x.near.P + G @ P @ G.T))
+    return replace(
+        solved, trajectories=trajectories,
+        base_nodes={
+            robot: replace(b, P=b.P + added(b.pose[None])[0])
+            for robot, b in solved.base_nodes.items()},
+        P=solved.P + added(solved.points)[:, :2, :2])
+
+
+def _frame_jacobians(away: Array) -> Array:
+    """Return the Jacobians (n, 3, 3) of poses, away (n, 2) from the origin of a frame, by it."""
+    G = np.tile(np.eye(3), (len(away), 1, 1))
+    G[:, 0, 2], G[:, 1, 2] = -away[:, 1], away[:, 0]
+    return G
 
 
 def solution_hash(

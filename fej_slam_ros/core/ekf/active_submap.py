@@ -49,10 +49,11 @@ class ActiveSubmap:
         may_end : whether to raise EndedError, and change nothing, if the process ends meanwhile
 
         """
-        x_hat = state.covariance.including(observed, state.x_hat)
-        if x_hat is not None:
-            state.x_hat = x_hat
-            return
+        if isinstance(state.covariance, CompressedCovariance):
+            x_hat = state.covariance.including(observed, state.x_hat)
+            if x_hat is not None:
+                state.x_hat = x_hat
+                return
         whole = state.whole(may_end)
         if (whole.dimension < self.min_states
                 or len(state.landmarks) <= self.landmarks_per_robot):

@@ -80,4 +80,4 @@ def update_in_blocks(
 
 def _affordable(covariance: JointCovariance) -> int:
     """Return the number of observations whose update is one piece of work."""
-    return int(PIECE_FLOPS / max(2 * covariance.updated_dimension ** 2, 1))
+    return int(PIECE_FLOPS / max(2 * covariance.matrices[-1].dimension ** 2, 1))

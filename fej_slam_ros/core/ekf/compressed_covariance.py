@@ -19,13 +19,14 @@ Any state may be removed: the proxies and P_BA(0) stay, by which the states of B
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from copy import copy
+from copy import copy, deepcopy
 
 import numpy as np
 from scipy.linalg.lapack import dpstrf
 
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
+from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.pieces import pause, product
 
@@ -85,9 +86,9 @@ class CompressedCovariance:
         return self._whole.dimension
 
     @property
-    def updated_dimension(self) -> int:
-        """Return the number of states of the submap, with its proxies."""
-        return self._core.dimension
+    def matrices(self) -> Sequence[SymmetricMatrix]:
+        """Return those of all states and of the submap with its proxies."""
+        return [self._whole.matrix, self._core.matrix]
 
     def including(self, indices: Indices, x_hat: Array) -> Array | None:
         """
@@ -139,18 +140,6 @@ class CompressedCovariance:
         lower = np.tril(self._joint(indices))
         return lower + np.tril(lower, -1).T
 
-    def lower_rows(self, slots: Sequence[Slot]) -> Iterator[Array]:
-        """Yield the rows of the lower triangle of the same."""
-        indices = joint_indices(slots)
-        if len(indices) ** 2 * self._core.dimension > MAX_DIRECT:
-            copied = copy(self)
-            copied._whole = copy(self._whole)  # noqa: SLF001
-            yield from lower_rows(copied.leave(np.zeros(self.dimension))[0], slots)
-            return
-        P = self._joint(indices)
-        for i in range(len(indices)):
-            yield P[i, :i + 1]
-
     def blocks(self, indices: Indices) -> Array:
         """Return the covariances (k, d, d) of k groups of d states, given by indices (k, d)."""
         if self._contains(indices):
@@ -177,11 +166,6 @@ class CompressedCovariance:
     def insert(self, P: Array) -> Slot:
         """Add states with covariance P (d, d), independent of all others."""
         return self._add_member(self._core.insert(P))
-
-    def reserve(self, sizes: Sequence[int]) -> None:
-        """Provide storage for variables of some sizes that will be added."""
-        self._whole.matrix.reserve(sizes)
-        self._core.matrix.reserve(sizes)
 
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
         """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
@@ -338,17 +322,19 @@ JointCovariance = Covariance | CompressedCovariance
 
 def reserve(covariance: JointCovariance, sizes: Sequence[int]) -> None:
     """Provide storage for variables of some sizes that will be added, which changes no bit."""
-    if isinstance(covariance, CompressedCovariance):
-        covariance.reserve(sizes)
-    else:
-        covariance.matrix.reserve(sizes)
+    for matrix in covariance.matrices:
+        matrix.reserve(sizes)
 
 
 def lower_rows(covariance: JointCovariance, slots: Sequence[Slot]) -> Iterator[Array]:
     """Yield the rows of the lower triangle of `marginal`, without making the whole matrix."""
+    indices = joint_indices(slots)
     if isinstance(covariance, CompressedCovariance):
-        yield from covariance.lower_rows(slots)
-        return
-    indices, matrix = joint_indices(slots), covariance.matrix.settled()
+        if len(indices) ** 2 * covariance.matrices[-1].dimension <= MAX_DIRECT:
+            for i, row in enumerate(covariance.marginal(slots)):
+                yield row[:i + 1]
+            return
+        covariance, _ = deepcopy(covariance).leave(np.zeros(covariance.dimension))
+    matrix = covariance.matrix.settled()
     for i, row in enumerate(indices):
         yield matrix.at(row, indices[:i + 1])

@@ -103,9 +103,9 @@ class Covariance:
         return self.matrix.dimension
 
     @property
-    def updated_dimension(self) -> int:
-        """Return the number of states that an update corrects."""
-        return self.dimension
+    def matrices(self) -> Sequence[SymmetricMatrix]:
+        """Return what is stored, last the matrix that an update changes."""
+        return [self.matrix]
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance of the variables, not to be modified."""
@@ -125,10 +125,6 @@ class Covariance:
     def current_estimates(self, x: Array, indices: Indices) -> Array:
         """Return estimates x of the states `indices` with all corrections, which they have."""
         return x
-
-    def including(self, indices: Indices, x_hat: Array) -> Array | None:
-        """Return None: this is no submap that states could enter."""
-        return None
 
     def leave(self, x_hat: Array, may_end: bool = False) -> 'tuple[Covariance, Array]':
         """Return the covariance and the estimate (n,) of all states."""

@@ -105,6 +105,29 @@ def test_the_anchor_pose_transforms_the_joint_map():
         there_P[:2, :2], turn(at[2]) @ here_P[:2, :2] @ turn(at[2]).T, rtol=1e-6, atol=1e-9)
 
 
+def test_an_uncertain_anchor_pose_adds_its_effect_on_all_estimates():
+    at, sigma, h = np.array([3.0, -2.0, 1.2]), (0.1, 0.2, 0.05), 1e-3
+
+    def solution(*pose, **options):
+        smoother, _ = smoothed(settings=team(anchor_pose=pose, **options))
+        (solved,) = smoother.solution.maps
+        of_robots = solved.trajectories['r1'], solved.trajectories['r2']
+        (node,) = solved.base_nodes.values()
+        return (
+            [*(x.poses for x in of_robots), node.pose[None], solved.points],
+            [*(x.P for x in of_robots), node.P[None], solved.P])
+
+    certain, uncertain = solution(*at)[1], solution(*at, anchor_sigma=sigma)[1]
+
+    moved = [
+        [solution(*at + sign * h * axis)[0] for sign in (1.0, -1.0)] for axis in np.eye(3)]
+    for k, (before, after) in enumerate(zip(certain, uncertain)):
+        G = np.stack([(plus[k] - minus[k]) / (2.0 * h) for plus, minus in moved], axis=2)
+        # Central differences of rotations by 1e-3 rad are off by 2e-7, solutions by 1e-9 m.
+        assert_allclose(
+            after - before, G @ np.diag(np.square(sigma)) @ G.transpose(0, 2, 1), atol=1e-5)
+
+
 def test_a_joint_map_without_the_anchor_is_in_the_frame_of_its_first_robot():
     smoother, _ = smoothed(settings=team('r0', 'r2', 'r1', anchor='r0'))
 
@@ -166,9 +189,10 @@ def test_poses_after_a_solution_follow_from_it_by_all_measurements():
         pose_difference(final_poses(live, 'r2'), final_poses(smoother, 'r2')), 0.0, atol=1e-9)
 
 
-def test_the_filter_continues_with_the_covariances_of_the_solution():
+@pytest.mark.parametrize('sigma', [(0.0, 0.0, 0.0), (0.1, 0.2, 0.05)])
+def test_the_filter_continues_with_the_covariances_of_the_solution(sigma):
     """Those of single variables are computed in another way, by Takahashi's recursion."""
-    smoother, _ = smoothed(settings=team(anchor_pose=(3.0, -2.0, 1.2)))
+    smoother, _ = smoothed(settings=team(anchor_pose=(3.0, -2.0, 1.2), anchor_sigma=sigma))
 
     for solved in smoother.solution.maps:
         assert {*solved.trajectories} == {'r1', 'r2'}

@@ -89,7 +89,8 @@ def test_blocks_in_a_submap_give_its_joint_update(monkeypatch):
 
     joint, blocks = in_both_ways(monkeypatch, filter_, scans, 3)
 
-    assert blocks[0].state.covariance.updated_dimension < blocks[0].state.covariance.dimension
+    whole, core = blocks[0].state.covariance.matrices
+    assert core.dimension < whole.dimension
     assert_same(joint, blocks)
 
 
@@ -124,7 +125,7 @@ def test_iterations_that_end_early_leave_the_estimate_as_it_was(monkeypatch):
 
 def test_a_block_is_a_bounded_piece_of_work():
     sizes = {
-        n: block_update.block_size(SimpleNamespace(updated_dimension=n))
+        n: block_update.block_size(SimpleNamespace(matrices=[SimpleNamespace(dimension=n)]))
         for n in (100, 3000, 10_000)}
 
     assert sizes[100] == block_update.MAX_BLOCK

@@ -107,8 +107,8 @@ def test_no_parameter_is_declared_for_estimation_and_for_the_node():
 
 def test_the_smoother_ignores_parameters_of_the_filter():
     assert known_parameters().keys() - known_parameters(audience=SMOOTHER).keys() == {
-        'initialpose_robot', 'anchor_sigma', 'filter', 'update_iterations', 'compressed',
-        'start_covariance', 'match_probability', 'inflate_rejected_scans', 'max_landmarks',
+        'initialpose_robot', 'filter', 'update_iterations', 'compressed', 'start_covariance',
+        'match_probability', 'inflate_rejected_scans', 'max_landmarks',
         'moved_landmarks', 'join_heading_sigma', 'prior_landmarks', 'relative_poses',
         'publish_tf', '<robot>.start_pose', '<robot>.start_sigma'}
 
