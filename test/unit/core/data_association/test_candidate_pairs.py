@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.data_association.candidate_pairs import MAX_PAIRS
+from fej_slam_ros.core import models
+from fej_slam_ros.core.data_association.candidate_pairs import MAX_PAIR_D2, MAX_PAIRS
 from helpers.core import central_differences, turn
 from helpers.matching import a_map, independent, match, observations, ODDS, pairs_of
 
@@ -39,6 +40,22 @@ def test_innovations_have_their_joint_covariance():
     np.testing.assert_allclose(
         pairs.S[np.ix_(rows, rows)], H @ P @ H.T + 0.01 * np.eye(8), atol=1e-8)
     np.testing.assert_allclose(pairs.r[rows], z - h(x), atol=1e-12)
+
+
+@pytest.mark.parametrize('seed', range(20))
+def test_no_pair_within_the_limit_is_left_out(seed):
+    state, robot, observations = a_scan(seed)
+    poses = np.tile(POSE, (4, 1))
+    r = np.array([s.z for s in observations])[:, None] - models.h(poses, POINTS)
+    H = models.H(poses, POINTS)
+    P = [state.marginal([robot, landmark]) for landmark in state.landmarks.values()]
+    S = [H[f] @ P[f] @ H[f].T + 0.01 * np.eye(2) for f in range(4)]
+
+    pairs = pairs_of(state, robot, observations)
+
+    assert {pairs[p] for p in range(len(pairs))} == {
+        (i, f) for i in range(4) for f in range(4)
+        if r[i, f] @ np.linalg.solve(S[f], r[i, f]) < MAX_PAIR_D2}
 
 
 @pytest.mark.parametrize('accepted', range(4))

@@ -130,6 +130,21 @@ def test_covariance_blocks_are_equal_inside_and_across_a_submap():
     assert_allclose(region.blocks(pairs), whole.blocks(pairs), atol=1e-12)
 
 
+def test_variance_bounds_are_exact_inside_a_submap_and_too_large_outside():
+    whole, region, slots = whole_and_region(np.random.default_rng(3))
+    joint, _ = happen(whole, slots, np.random.default_rng(4))
+    happen(region, slots, np.random.default_rng(4))
+    points = np.array([slot.indices for slot in joint[1:]])
+    variances = np.trace(whole.blocks(points), axis1=1, axis2=2)
+
+    assert_allclose(whole.variance_bounds(points), variances, atol=1e-12)
+    bounds = region.variance_bounds(points)
+
+    inside = [0, 1, 2, 3, 4, -1]
+    assert_allclose(bounds[inside], variances[inside], atol=1e-12)
+    assert (np.delete(bounds, inside) > np.delete(variances, inside)).all()
+
+
 def test_a_variable_inserted_into_a_submap_is_independent_of_all_others():
     _, region, slots = whole_and_region(np.random.default_rng(5))
     P = random_covariance(np.random.default_rng(6), 3)
