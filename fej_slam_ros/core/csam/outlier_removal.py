@@ -7,19 +7,24 @@ Unlike a filter, a smoother tests an observation against all others. The limit i
 the given probability no correct observation of a whole run is removed.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
 from fej_slam_ros.core.csam.maps import LocalMap
-from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.core.gauss_newton import ConvergenceError
+from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import concatenated, LandmarkFactors, Values
+from fej_slam_ros.core.smoothing.least_squares import (
+    CauchyLoss, concatenated, LandmarkFactors, Values)
 
 #: Largest fraction of outliers; with more, the stated noise is wrong and none is removed.
 MAX_OUTLIER_FRACTION = 0.25
+#: Cost by which outliers are found first: those beyond 95 % of correct observations count less.
+ROBUST_LOSS = CauchyLoss(chi_square_quantile(2, 0.95))
 #: Rounds of removal; bounds the time.
 MAX_ROUNDS = 50
 
@@ -41,41 +46,95 @@ def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, lis
 
     `probability` is that of removing no correct observation of the map; 1.0 keeps all.
 
+    Raises
+    ------
+    SingularError, ConvergenceError
+        As of `least_squares`, also without the outliers that a robust cost shows.
+
     """
-    complete = kept = _solved(local)
     count = len(local.problem.landmarks.z)
     limit = chi_square_quantile(2, probability ** (1.0 / max(count, 1)))
-    outliers: list[Outlier] = []
+    complete = _minimum(local)
+    if complete is not None and not _worst(complete, limit):
+        return complete, []
+    # Outliers also displace what is correct, most of all where they prevent a minimum.
+    robust = _minimum(local, ROBUST_LOSS) or _minimum(
+        replace(local, values=_by_odometry(local)), ROBUST_LOSS)
+    kept, outliers = (complete or local, []) if robust is None else _without(
+        robust, _beyond(robust, limit), limit)
     for _ in range(MAX_ROUNDS):
-        factors = concatenated(kept.problem.landmarks)
-        worst = _worst(factors, kept.values, limit)
+        kept = _solved(kept)
+        worst = _worst(kept, limit)
         if not worst:
             break
-        outliers += [
-            Outlier(int(factors.pose[m]), kept.landmarks[factors.target[m]], d2, limit)
-            for m, d2 in worst.items()]
-        if len(outliers) > MAX_OUTLIER_FRACTION * count:
-            return complete, []
-        rows = np.delete(np.arange(len(factors.z)), list(worst))
-        kept = _solved(replace(kept, problem=replace(kept.problem, landmarks=LandmarkFactors(
-            factors.pose[rows], factors.target[rows], factors.z[rows], factors.R[rows]))))
+        kept, others = _without(kept, worst, limit)
+        outliers += others
+    if len(outliers) > MAX_OUTLIER_FRACTION * count:
+        return complete or _solved(local), []
     return kept, outliers
 
 
-def _solved(local: LocalMap) -> LocalMap:
-    return replace(local, values=least_squares.solve(local.problem, local.values).values)
+def _minimum(local: LocalMap, loss: CauchyLoss | None = None) -> LocalMap | None:
+    """Return a map at the minimum of a cost, None if it is not reached."""
+    try:
+        return _solved(local, loss)
+    except ConvergenceError:
+        return None
 
 
-def _worst(factors: LandmarkFactors, values: Values, limit: float) -> dict[int, float]:
+def _solved(local: LocalMap, loss: CauchyLoss | None = None) -> LocalMap:
+    return replace(
+        local, values=least_squares.solve(local.problem, local.values, loss=loss).values)
+
+
+def _by_odometry(local: LocalMap) -> Values:
+    """Return poses by odometry alone, and landmarks as seen first, which no outlier displaces."""
+    poses, points = local.values.poses.copy(), local.values.points.copy()
+    odometry, seen = local.problem.odometry, local.problem.landmarks
+    for begin, end, u in zip(odometry.pose.tolist(), odometry.target.tolist(), odometry.z):
+        poses[end] = compose(poses[begin], u)
+    landmarks, first = np.unique(seen.target, return_index=True)
+    for landmark, k in zip(landmarks.tolist(), first.tolist()):
+        points[landmark] = transform(poses[seen.pose[k]], seen.z[k])
+    return Values(poses, points)
+
+
+def _without(
+    local: LocalMap, removed: Mapping[int, float], limit: float
+) -> tuple[LocalMap, list[Outlier]]:
+    """Return a map without some rows of its landmark observations, given with their d2."""
+    factors = concatenated(local.problem.landmarks)
+    rows = np.delete(np.arange(len(factors.z)), list(removed))
+    return replace(local, problem=replace(local.problem, landmarks=LandmarkFactors(
+        factors.pose[rows], factors.target[rows], factors.z[rows], factors.R[rows]))), [
+            Outlier(int(factors.pose[m]), local.landmarks[factors.target[m]], d2, limit)
+            for m, d2 in removed.items()]
+
+
+def _beyond(local: LocalMap, limit: float) -> dict[int, float]:
+    """Return the rows and d2 of all observations beyond a limit but the best of each landmark."""
+    factors, d2 = _distances(local)
+    is_beyond = d2 > limit
+    is_beyond[_worst_of_each(factors.target, -d2)] = False
+    return {int(m): float(d2[m]) for m in np.flatnonzero(is_beyond)}
+
+
+def _worst(local: LocalMap, limit: float) -> dict[int, float]:
     """Return the rows and d2 of the outliers that are removed at a time."""
-    _, r = factors.linearize(values)
-    d2 = squared_distances(r, factors.R)
+    factors, d2 = _distances(local)
     # An outlier worsens the fit of other observations, so that only the worst ones are certain:
     # those that fit worst of their pose and of their landmark, with a large d2.
     worst = np.intersect1d(
         _worst_of_each(factors.pose, d2), _worst_of_each(factors.target, d2))
     least = max(limit, d2.max(initial=0.0) / 4.0)
     return {int(m): float(d2[m]) for m in worst if d2[m] > least}
+
+
+def _distances(local: LocalMap) -> tuple[LandmarkFactors, Array]:
+    """Return the landmark observations of a map and their squared Mahalanobis distances."""
+    factors = concatenated(local.problem.landmarks)
+    _, r = factors.linearize(local.values)
+    return factors, squared_distances(r, factors.R)
 
 
 def _worst_of_each(group: Indices, d2: Array) -> Indices:

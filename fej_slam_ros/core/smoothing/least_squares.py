@@ -177,6 +177,28 @@ class Problem:
         self._systems.clear()
 
 
+@dataclass(frozen=True, slots=True)
+class CauchyLoss:
+    """
+    The cost c^2 log(1 + d^2 / c^2) of an observation, so that outliers hardly count.
+
+    Its square root has the same steps as d weighted by 1 / (1 + d^2 / c^2), so that the cost
+    decreases with iteratively reweighted least squares.
+
+    """
+
+    c2: float  #: squared Mahalanobis distance d^2 from which an observation counts half or less
+
+    def cost(self, d2: Array) -> float:
+        """Return the cost of observations with squared Mahalanobis distances d2 (k,)."""
+        return self.c2 * float(np.log1p(d2 / self.c2).sum())
+
+    def weights(self, d2: Array) -> Array:
+        """Return the weights of their squares, (k,)."""
+        weights: Array = 1.0 / (1.0 + d2 / self.c2)
+        return weights
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
     """A minimum of the cost."""
@@ -189,7 +211,8 @@ class Solution:
 
 
 def solve(
-    problem: Problem, start: Values, tolerance: float = TOLERANCE, max_iterations: int = 100
+    problem: Problem, start: Values, tolerance: float = TOLERANCE, max_iterations: int = 100,
+    loss: CauchyLoss | None = None,
 ) -> Solution:
     """
     Return the minimum that damped Gauss-Newton reaches from a start.
@@ -202,6 +225,7 @@ def solve(
     start : initial values
     tolerance : largest increment of a coordinate at the end [m, rad]
     max_iterations : maximum number of steps
+    loss : cost of landmark observations, None for squares
 
     Raises
     ------
@@ -210,7 +234,7 @@ def solve(
 
     """
     system, damping = copy(problem.system(start)), NielsenDamping()
-    system.tolerance = tolerance
+    system.tolerance, system.loss = tolerance, loss
     values, _, iterations = gauss_newton(system, start, max_iterations, damping)
     return Solution(
         values, system.linearize(values).cost, system.unknowns, iterations, damping.rejected)
@@ -259,6 +283,7 @@ class System:
     Attributes
     ----------
     tolerance : largest increment of a coordinate at the end of the iteration [m, rad]
+    loss : cost of landmark observations, None for squares
     unknowns : number of coordinates that are solved for, eliminated ones included
 
     """
@@ -267,6 +292,7 @@ class System:
         self, problem: Problem, poses: int, points: int, kept: Sequence[int] = ()
     ) -> None:
         self.tolerance = TOLERANCE
+        self.loss: CauchyLoss | None = None
         # Factor of A^T A that the next step may use, and the size of the last step. It belongs to
         # one iteration: `solve` copies the system, which others use as well.
         self._last_factor: tuple[Cholesky, float] | None = None
@@ -304,12 +330,19 @@ class System:
             at.chains)
 
     def linearize(self, x: Values) -> LinearizedFactors:
-        A, b = [], []
+        A, b, cost = [], [], 0.0
         for factors, L_inv in zip(self._factors, self._whiteners):
             H, r = factors.linearize(x)
-            A.append(L_inv @ H)
-            b.append((L_inv @ r[:, :, None])[:, :, 0])
-        cost = float(sum(np.vdot(b_k, b_k) for b_k in b))
+            A_k, b_k = L_inv @ H, (L_inv @ r[:, :, None])[:, :, 0]
+            if self.loss is not None and isinstance(factors, LandmarkFactors):
+                d2 = np.square(b_k).sum(axis=1)
+                root = np.sqrt(self.loss.weights(d2))
+                A_k, b_k = A_k * root[:, None, None], b_k * root[:, None]
+                cost += self.loss.cost(d2)
+            else:
+                cost += float(np.vdot(b_k, b_k))
+            A.append(A_k)
+            b.append(b_k)
         chains, within = self._chained.reduced(x.poses), 0.0
         if len(chains.Phi):
             L_inv = whitener(chains.covariances)
