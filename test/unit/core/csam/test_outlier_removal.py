@@ -109,7 +109,7 @@ def misread_map(seed):
 def test_misread_ids_are_found_where_squares_have_no_minimum(seed):
     local, misread = misread_map(seed)
 
-    kept, outliers = without_outliers(local, 0.999)
+    _, outliers = without_outliers(local, 0.999)
 
     found = {outlier.pose for outlier in outliers}
     # Two landmarks may be at one place, or one of an outlier and a correct observation be alone.
