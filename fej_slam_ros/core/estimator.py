@@ -16,7 +16,8 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
-from fej_slam_ros.core.data_association.failure_detection import MOVED_LANDMARKS, update_trust
+from fej_slam_ros.core.data_association.failure_detection import (
+    MOVED_LANDMARKS, remove_contradicted, update_trust)
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
@@ -42,7 +43,6 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from fej_slam_ros.errors import UserError
-
 
 #: Maximum number of landmarks that observations without ID of a scan start, so that the clutter of
 #: one robot, which is deleted after 20 scans, does not fill a map of the default size.
@@ -222,9 +222,8 @@ class Estimator:
     def relative_pose(self, observer: str, observed: str) -> RelativePose | None:
         """Return the pose of a robot in the base frame of another if both are in ``map``."""
         state = self.groups.team.state
-        if {observer, observed} <= state.robots.keys():
-            return relative_pose(state, observer, observed)
-        return None
+        is_known = {observer, observed} <= state.robots.keys()
+        return relative_pose(state, observer, observed) if is_known else None
 
     def state_hash(self) -> str:
         """Return SHA-256 over all estimates; equal for equal input on one machine."""
@@ -356,6 +355,8 @@ class Estimator:
         for robot in innovation.robots():
             robot.turn_variance = 0.0
         update_trust(group.state, innovation, scans, stamp)
+        for started in remove_contradicted(group.state, innovation, scans):
+            self.statistics.reject_observation(started)
         MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scans)
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
@@ -368,14 +369,13 @@ class Estimator:
 
     def _gated(self, gated: GatedObservation, stamp: int) -> Rejection:
         """Return the rejection of an observation that failed the gate."""
-        association, reason = gated.association, RejectionReason.GATED
-        observed = association.observed
+        (observer, observed, _), reason = gated.association, RejectionReason.GATED
         if gated.passed():
             reason = RejectionReason.LOST_ROBOT
         elif not isinstance(observed, Robot) and observed.was_moved():
             reason = RejectionReason.MOVED_LANDMARK
         return Rejection(
-            association.observer.name, stamp, reason, id=self._observed_id(association),
+            observer.name, stamp, reason, id=self._observed_id(gated.association),
             d2=gated.d2, threshold=gated.threshold,
             observed=observed.name if isinstance(observed, Robot) else None)
 

@@ -14,6 +14,8 @@ from scipy.special import chdtri
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState, Landmark, MovedLandmarkEvidence, Robot
+from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 #: Number of consecutive scans that mostly failed after which a robot counts as lost.
 LOST_AFTER = 3
@@ -121,12 +123,37 @@ def update_trust(state: JointState, innovation: Innovation, scans: Scans, stamp:
     """
     confirmed = {name for name, scan in scans.items() if scan.confirms_pose()}
     for a in innovation.used:
-        if a.observer.name in confirmed and isinstance(a.observed, Landmark):
-            a.observed.is_trusted = True
+        if isinstance(a.observed, Landmark):
+            a.observed.is_reobserved = True
+            if a.observer.name in confirmed:
+                a.observed.is_trusted = True
     suspected = [name for name, scan in scans.items() if scan.mostly_failed()]
     for landmark in [*state.landmarks.values()] if suspected else []:
         if landmark.owner in suspected and landmark.created == stamp:
             state.remove(landmark)
+
+
+def remove_contradicted(
+    state: JointState, innovation: Innovation, scans: Scans
+) -> list[Rejection]:
+    """
+    Remove landmarks whose second observation contradicts the first; return that as rejected.
+
+    One of the two is wrong, such as a misread tag. The next observation starts the landmark again.
+
+    """
+    contradicted: dict[LandmarkKey, Landmark] = {}
+    for gated in innovation.rejected:
+        observer, observed, _ = gated.association
+        is_robot_suspected = observer.name in scans and scans[observer.name].mostly_failed()
+        if (isinstance(observed, Landmark) and not observed.is_reobserved
+                and gated.d2 > MOVED_LANDMARK_D2 and not is_robot_suspected
+                and observed.key in state.landmarks):
+            contradicted[observed.key] = observed
+    state.remove_all([*contradicted.values()])
+    return [
+        Rejection(landmark.owner, landmark.created, RejectionReason.GATED, id=landmark.key[1])
+        for landmark in contradicted.values()]
 
 
 def remove_untrusted(state: JointState, robot: str) -> None:

@@ -87,6 +87,8 @@ class Landmark:
     #: whether a scan that other trusted landmarks confirm has observed it since its first
     #: observation; the first landmarks of a map are trusted
     is_trusted: bool = True
+    #: whether an observation since its first one has passed the gate
+    is_reobserved: bool = False
 
     def __post_init__(self) -> None:
         self.last_accepted = self.created
@@ -334,7 +336,8 @@ def state_of_prior_map(prior: PriorMap) -> JointState:
     covariance = Covariance()
     slots = covariance.insert(prior.P).split([2] * len(prior.ids))
     landmarks = [
-        Landmark(('', id_), slot, '', -sys.maxsize) for id_, slot in zip(prior.ids, slots)]
+        Landmark(('', id_), slot, '', -sys.maxsize, is_reobserved=True)
+        for id_, slot in zip(prior.ids, slots)]
     x = prior.points.ravel()
     return JointState(landmarks, x.copy(), x.copy(), covariance)
 

@@ -25,6 +25,7 @@ import numpy as np
 from fej_slam_ros.core import models
 from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping
 from fej_slam_ros.core.geometry import Array, corrected, Indices, wrap_all
+from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky, diagonal, NormalEquations
 from fej_slam_ros.core.smoothing.odometry_chains import (
@@ -175,28 +176,6 @@ class Problem:
     def forget_systems(self) -> None:
         """Free the memory of what `system` has found, some kB for each measurement."""
         self._systems.clear()
-
-
-@dataclass(frozen=True, slots=True)
-class CauchyLoss:
-    """
-    The cost c^2 log(1 + d^2 / c^2) of an observation, so that outliers hardly count.
-
-    Its square root has the same steps as d weighted by 1 / (1 + d^2 / c^2), so that the cost
-    decreases with iteratively reweighted least squares.
-
-    """
-
-    c2: float  #: squared Mahalanobis distance d^2 from which an observation counts half or less
-
-    def cost(self, d2: Array) -> float:
-        """Return the cost of observations with squared Mahalanobis distances d2 (k,)."""
-        return self.c2 * float(np.log1p(d2 / self.c2).sum())
-
-    def weights(self, d2: Array) -> Array:
-        """Return the weights of their squares, (k,)."""
-        weights: Array = 1.0 / (1.0 + d2 / self.c2)
-        return weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)

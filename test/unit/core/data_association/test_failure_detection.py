@@ -106,6 +106,37 @@ def test_forget_restarts_a_moved_landmark_at_its_new_position(seed, number):
     assert np.linalg.norm(x - place(records, number) - SHIFT) < 0.3
 
 
+@pytest.mark.parametrize('policy', ['report', 'ignore'])
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_a_landmark_started_by_a_misread_id_is_started_again(seed, policy):
+    records = drive(seed)
+    firsts = {}
+    for r in records:
+        if isinstance(r, Scan):
+            for s in r.observations:
+                firsts.setdefault(s.id, r)
+    number, first = max(firsts.items(), key=lambda item: item[1].stamp)
+    # One of another landmark, a second before.
+    misread = next(
+        r for r in records if isinstance(r, Scan) and r.robot == first.robot and r.observations
+        and r.stamp >= first.stamp - NS)
+    wrong = replace(misread, observations=(
+        *misread.observations[1:], replace(misread.observations[0], id=number)))
+
+    estimator, _ = estimate(
+        [wrong if r is misread else r for r in records], moved_landmarks=policy)
+
+    team = estimator.groups.team.state
+    x = team.estimate(team.landmarks['', number])
+    assert np.linalg.norm(x - place(records, number)) < 0.3
+    # The misread one and the correct one that contradicts it.
+    of_landmark = [
+        r.stamp for r in estimator.statistics.rejections
+        if r.reason is RejectionReason.GATED and r.id == number]
+    assert sorted(of_landmark)[:2] == [misread.stamp, first.stamp]
+    assert len(of_landmark) <= 4  # one in a thousand correct ones
+
+
 def test_ignore_only_gates_a_moved_landmark():
     estimator, _ = estimate(with_moved(drive(1), 5, SECOND_LOOP), moved_landmarks='ignore')
     reporting, _ = estimate(with_moved(drive(1), 5, SECOND_LOOP))
