@@ -86,6 +86,10 @@ def _run(command: str, verb: str, words: list[str]) -> int:
     except UserError as error:
         print(f'{command}: {error}', file=sys.stderr)
         return 2 if isinstance(error, UsageError) else 1
+    except BrokenPipeError:
+        # Whoever reads the output, such as `head`, has ended; Python flushes it once more at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     except OSError as error:
         if error.errno == errno.ENAMETOOLONG:
             print(

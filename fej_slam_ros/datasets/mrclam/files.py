@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.datasets.mrclam.clocks import in_order
@@ -27,10 +27,12 @@ ROBOT_SUBJECTS = range(1, 6)
 #: Stamps are rounded to microseconds, which a float of the files' seconds resolves.
 TICKS = 1_000_000
 #: Motion capture has slipped if it is faster than SPEED_MARGIN times the fastest command by more
-#: than TRUTH_NOISE [m, m, rad]; true poses within SLIP_MARGIN [ns] of a slip are dropped.
+#: than TRUTH_NOISE [m, m, rad]; true poses within SLIP_MARGIN [ns] of a slip are dropped, and at
+#: most MAX_SLIP_TIME [ns] between two slips if the robot can have moved without them.
 SPEED_MARGIN = 1.25
 TRUTH_NOISE = np.array([0.02, 0.02, 0.02])
 SLIP_MARGIN = NS // 4
+MAX_SLIP_TIME = 10 * NS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,11 +144,25 @@ def _without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Ser
     if not len(commands):
         return truth
     v, w = SPEED_MARGIN * np.abs(commands.rows).max(axis=0)
-    steps, dt = np.abs(np.diff(truth.rows, axis=0)), np.diff(truth.stamps) / NS
-    steps[:, 2] = np.abs(wrap_all(np.diff(truth.rows[:, 2])))
-    jumps = (steps > TRUTH_NOISE + dt[:, None] * [v, v, w]).any(axis=1)
-    # Either of the two poses at a jump may be wrong.
-    begins, ends = truth.stamps[:-1][jumps] - SLIP_MARGIN, truth.stamps[1:][jumps] + SLIP_MARGIN
+
+    def is_jump(before: Indices, after: Indices) -> Flags:
+        steps = np.abs(truth.rows[after] - truth.rows[before])
+        steps[:, 2] = np.abs(wrap_all(truth.rows[after, 2] - truth.rows[before, 2]))
+        dt = (truth.stamps[after] - truth.stamps[before]) / NS
+        jumps: Flags = (steps > TRUTH_NOISE + dt[:, None] * [v, v, w]).any(axis=1)
+        return jumps
+
+    rows = np.arange(len(truth))
+    jumps = np.flatnonzero(is_jump(rows[:-1], rows[1:]))
+    # Either of the two poses at a jump may be wrong. What lies between two of them is displaced if
+    # the robot can have moved without it.
+    before, after = jumps[:-1], jumps[1:] + 1
+    is_displaced = ~is_jump(before, after) & (
+        truth.stamps[after] - truth.stamps[before] <= MAX_SLIP_TIME)
+    before, after = np.append(jumps, before[is_displaced]), np.append(
+        jumps + 1, after[is_displaced])
+    begins = np.sort(truth.stamps[before] - SLIP_MARGIN)
+    ends = np.sort(truth.stamps[after] + SLIP_MARGIN)
     inside = np.searchsorted(begins, truth.stamps) - np.searchsorted(ends, truth.stamps, 'right')
     return drop(truth, inside > 0, 'truth at a jump', counts)
 

@@ -104,6 +104,19 @@ def test_true_poses_around_a_jump_are_dropped(read_set):
     assert log.counts['truth at a jump'] == 100 - len(log.truth)
 
 
+@pytest.mark.parametrize('rows', [range(30, 60), range(30, 130)])
+def test_true_poses_between_a_jump_and_the_jump_back_are_dropped(read_set, rows):
+    truth = [
+        (100.0 + 0.02 * k, 0.002 * k, 0.5 * (k in rows), 0.0) for k in range(200)]
+
+    log = read_set(Robot1_Groundtruth=truth).logs[1]
+
+    assert (log.truth.rows[:, 1] == 0.0).all()
+    # A quarter of a second, 12 poses, before the last good pose and after the first one.
+    assert len(log.truth) == 200 - len(rows) - 26
+    assert log.counts['truth at a jump'] == 200 - len(log.truth)
+
+
 def test_motion_capture_across_a_half_turn_does_not_jump(read_set):
     truth = [(100.0, 0, 0, 3.1415), (100.02, 0, 0, -3.1415)]
 
