@@ -20,6 +20,7 @@ from fej_slam_ros.cli.arguments import number_option
 from fej_slam_ros.cli.converters import mrclam_tables
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, noise
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS
@@ -75,7 +76,7 @@ def convert(arguments: Namespace) -> None:
     if arguments.output is None and not arguments.measure:
         raise UsageError('nothing to do: give --output BAG, or --measure')
     data = files.read(arguments.input)
-    if arguments.measure and not noise.is_measurable(data):
+    if arguments.measure and not (data.landmarks and noise.is_measurable(data)):
         raise UserError(
             f'{arguments.input} is not enough to measure noise: it needs Robot1_Groundtruth.dat'
             ' and so on over 50 s of odometry, and Landmark_Groundtruth.dat')
@@ -85,10 +86,10 @@ def convert(arguments: Namespace) -> None:
         return
     data = conversion.with_known_anchor(data, options)
     rejected = {robot: Counter[str]() for robot in data.logs}
+    settings = conversion.settings(data, options, arguments.known_starts)
     write(
-        conversion.records(data, options, rejected),
-        conversion.settings(data, options, arguments.known_starts), arguments,
-        _report(data, options, rejected))
+        conversion.records(data, options, rejected), settings, arguments,
+        _report(data, options, settings, rejected))
 
 
 def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
@@ -108,9 +109,19 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
 
 
 def _report(
-    data: MrclamSet, options: ConversionOptions, rejected: Mapping[int, Counter[str]]
+    data: MrclamSet, options: ConversionOptions, settings: Settings,
+    rejected: Mapping[int, Counter[str]],
 ) -> Iterator[str]:
     yield f'landmarks: {len(data.landmarks)}, from {data.landmark_file or "no file"}'
+    if not noise.is_measurable(data):
+        yield (
+            'too few true poses to measure delay, scale and noise: they are those of set 6, or'
+            ' given by options')
+    # A start from true poses is never exact.
+    if not any(settings.anchor_sigma):
+        yield (
+            f'map begins where {settings.anchor} starts, which has no true pose in its first'
+            ' minute, and is not in the frame of any ground truth')
     for robot in ROBOT_SUBJECTS:
         if robot not in data.logs:
             yield f'{robot_name(robot)} is left out: no two rows in Robot{robot}_Odometry.dat'
