@@ -352,8 +352,6 @@ class Estimator:
         """Record the statistics, moved landmarks and rejected observations of an update."""
         scans = innovation.scan_gate_statistics()
         self.innovations.add(stamp, innovation, scans)
-        for robot in innovation.robots():
-            robot.turn_variance = 0.0
         update_trust(group.state, innovation, scans, stamp)
         for started in remove_contradicted(group.state, innovation, scans):
             self.statistics.reject_observation(started)

@@ -62,11 +62,6 @@ class Innovation(NamedTuple):
             *((a, bool(inflated) and a in inflated) for a in self.used),
             *((gated.association, gated.contradicts()) for gated in self.rejected)])
 
-    def robots(self) -> set[Robot]:
-        """Return the robots by or of which an observation was used."""
-        observed = {a.observed for a in self.used if isinstance(a.observed, Robot)}
-        return {a.observer for a in self.used} | observed
-
     def log_likelihood(self) -> float:
         """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood up to a constant."""
         return -0.5 * (float(self.y @ self.y) + self.log_det)
@@ -173,6 +168,7 @@ class Filter:
         for _ in range(self._iterations - 1):                    # Gauss-Newton: 1. to 5. again
             last = self._relinearized(stack, x_prior, last.dx)
         self._apply(x_prior, last)                               # 6. x, 7. P
+        self._note_used(observations)
         return Innovation(observations, first.y, log_det=first.log_det)
 
     def _update_in_blocks(
@@ -197,9 +193,18 @@ class Filter:
         state.x_hat = policy.retract(state, x_prior, updates[-1].dx)
         transport_errors(policy, state, x_prior)
         count = updates[-1].count
+        self._note_used(observations[:count])
         return Innovation(
             observations[:count], updates[0].y[:2 * count], log_det=updates[0].log_det,
             interrupted=observations[count:])
+
+    def _note_used(self, observations: Sequence[Association]) -> None:
+        """Note which robots an update has observed, or used observations of."""
+        for observer, observed, _ in observations:
+            observer.turn_variance = 0.0
+            if isinstance(observed, Robot):
+                observed.turn_variance = 0.0
+        self.linearization.note_used(self.state, observations)
 
     def _apply(self, x_prior: Array, correction: Correction) -> None:
         """Correct the prior estimate and its covariance."""

@@ -8,14 +8,16 @@ It supplies the linearisation points, the retraction that applies a correction, 
 transport of the covariance after an update, for error coordinates that depend on the estimate.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import ClassVar, Protocol
 
 import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import Transport
+from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.state import JointState, ObservationColumns, Robot, Variable
+from fej_slam_ros.core.ekf.state import (
+    JointState, Landmark, ObservationColumns, Robot, Variable)
 from fej_slam_ros.core.geometry import Array, perpendicular
 from fej_slam_ros.core.ground_truth import Truth
 from fej_slam_ros.core.records import LandmarkKey, LOST_HEADING_SIGMA, PointKey, RendezvousKey
@@ -24,6 +26,10 @@ Poses = dict[str, Array]
 Points = dict[LandmarkKey, Array]
 Variables = Sequence[Variable]
 TwoArrays = tuple[Array, Array]
+
+#: Standard deviation of a turn by odometry alone [rad] from which a robot of the invariant filter
+#: does not turn the landmarks that others observe.
+MAX_UNSEEN_TURN = 0.1
 
 
 class Linearization(Protocol):
@@ -83,6 +89,9 @@ class Linearization(Protocol):
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """Return a joint estimate x (n,) corrected by dx (n,)."""
 
+    def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
+        """Note which observations an update has used."""
+
     def transport(self, state: JointState, x_prior: Array) -> Transport | None:
         """Return A that maps errors at x_prior (n,) to errors at x_hat; None for A = I."""
 
@@ -128,6 +137,9 @@ class Standard:
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """Return x + dx with wrapped headings."""
         return KERNEL.retracted(x, dx, state.headings())
+
+    def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
+        """Do nothing: plain error coordinates do not depend on observers."""
 
     def transport(self, state: JointState, x_prior: Array) -> Transport | None:
         """Return None: plain error coordinates do not depend on the estimate."""
@@ -233,7 +245,9 @@ class Invariant(Standard):
     theta and leaves every xi unchanged. Both stay unobservable with every Jacobian at the current
     estimate.
 
-    P is that of plain errors, so the prediction of a robot does not change its landmarks. Phi,
+    P is that of plain errors, so the prediction of a robot does not change its landmarks, and a
+    landmark may turn with another robot from any update on: the error of a robot that has turned
+    unseen for long is no longer that of the landmarks it started (`note_used`). Phi,
     G, F and H are those of the standard EKF; only two parts differ: a correction is applied by the
     exponential map of each robot with its landmarks (`retract`), and as the update changes the
     estimate, so do the plain errors that correspond to an invariant error (`transport`).
@@ -270,6 +284,15 @@ class Invariant(Standard):
         turned = dx.copy()
         turned[positions] = along[owner] * dp + across[owner] * perpendicular(dp)
         return super().retract(state, x, turned)
+
+    def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
+        """Let landmarks turn with their observers if their robots have turned unseen for long."""
+        turned = {
+            name for name, robot in state.robots.items()
+            if robot.turn_variance > MAX_UNSEEN_TURN ** 2}
+        for observer, observed, _ in observations if turned else ():
+            if isinstance(observed, Landmark) and observed.turns_with in turned:
+                state.turn_with(observed, observer)
 
     def transport(self, state: JointState, x_prior: Array) -> Transport:
         """Return A of equal theta and xi: dp becomes dp + J (p_hat - p_prior) theta."""

@@ -89,9 +89,12 @@ class Landmark:
     is_trusted: bool = True
     #: whether an observation since its first one has passed the gate
     is_reobserved: bool = False
+    #: robot with whose heading the invariant filter turns it, at first its owner
+    turns_with: str = ''
 
     def __post_init__(self) -> None:
         self.last_accepted = self.created
+        self.turns_with = self.turns_with or self.owner
 
     def was_moved(self) -> bool:
         """Return whether the landmark has likely been moved since it was mapped."""
@@ -165,8 +168,8 @@ class VariableSet:
         """
         Return the heading whose correction rotates each position.
 
-        A position rotates with its owner, or with the first robot of the state if the owner has
-        left; landmarks of a prior map do not rotate.
+        A landmark rotates with the robot in `turns_with`, a rendezvous point with its owner, or
+        both with the first robot if that has left; landmarks of a prior map do not rotate.
 
         Returns
         -------
@@ -179,10 +182,11 @@ class VariableSet:
             first = next(iter(self.robots.values()), None)
             turning: list[Variable] = [*self.robots.values()]
             owners = [*self.robots.values()]
-            points: list[Landmark | RendezvousPoint] = [
-                *self.landmarks.values(), *self.rendezvous_points.values()]
-            for variable in points:
-                owner = self.robots.get(variable.owner, first) if variable.owner else None
+            points: list[tuple[Variable, str]] = [
+                (landmark, landmark.turns_with) for landmark in self.landmarks.values()]
+            points += [(point, point.owner) for point in self.rendezvous_points.values()]
+            for variable, name in points:
+                owner = self.robots.get(name, first) if name else None
                 if owner is not None:
                     turning.append(variable)
                     owners.append(owner)
@@ -190,6 +194,10 @@ class VariableSet:
                 np.array([owner.slot.start + 2 for owner in owners], np.intp), return_inverse=True)
             self._heading_owners = position_indices(turning), owner_of, headings
         return self._heading_owners
+
+    def turn_with(self, landmark: Landmark, robot: Robot) -> None:
+        """Let a landmark rotate with a robot from now on."""
+        landmark.turns_with, self._heading_owners = robot.name, None
 
     def _add(self, variable: Variable) -> None:
         self._heading_owners = self._headings = self._landmark_positions = None

@@ -121,6 +121,20 @@ def test_points_turn_with_their_first_observer_except_a_prior_map():
         **PRIOR, 'r1': 'r1', ('', 1): 'r1', 'r2': 'r2', ('', 2): 'r2', PLACE: 'r2'}
 
 
+@pytest.mark.parametrize(('sigma', 'robot'), [(0.09, 'r1'), (0.11, 'r3')])
+def test_landmarks_turn_with_others_after_long_turns_unseen(sigma, robot):
+    team, filter_ = mapped('invariant')
+    assert turned_by(filter_.state)['', 0] == 'r1'
+    filter_.state.robots['r1'].turn_variance = sigma ** 2
+
+    filter_.step([team.drive('r3', 4)], [team.look('r3', [0])])
+
+    assert turned_by(filter_.state)['', 0] == robot
+    assert turned_by(filter_.state)['', 1] == 'r1'
+    filter_.step([team.drive('r1', 5)], [team.look('r1', [0])])
+    assert turned_by(filter_.state)['', 0] == robot
+
+
 def test_points_of_a_removed_owner_turn_with_the_first_robot():
     state = owned(('r0', 'r1', 'r2'))
     assert turned_by(state)['', 3] == 'r2'
