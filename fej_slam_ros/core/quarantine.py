@@ -51,6 +51,7 @@ class Quarantine:
         elif motion.is_too_uncertain():
             self._restart(
                 motion.robot, motion.stamp, 'the gap in its odometry is too long for a prediction')
+            self._lost_robots.forget_scans(motion.robot)
         else:
             return False
         return True
@@ -90,6 +91,7 @@ class Quarantine:
         self._restart(
             robot, stamp,
             f'its heading has become uncertain by {sigma:.2f} rad since it was last corrected')
+        self._lost_robots.forget_scans(robot)
 
     def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart the lost ones of some robots if they can join again, by landmarks with IDs."""

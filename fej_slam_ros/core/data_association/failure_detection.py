@@ -80,6 +80,10 @@ class LostRobotDetector:
         for evidence in (self._failed, self._restarted, self._probation):
             evidence.pop(robot, None)
 
+    def forget_scans(self, robot: str) -> None:
+        """Forget the failed scans of a robot that restarts, which are of its former map."""
+        self._failed.pop(robot, None)
+
     def is_suspected(self, robot: str) -> bool:
         """Return whether most of the latest conclusive scan of a robot failed."""
         return robot in self._failed

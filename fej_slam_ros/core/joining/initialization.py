@@ -90,9 +90,10 @@ def _joint_state(
     for key, x in solved.points.items():
         landmark = before.landmarks.get(key)
         if landmark is None:
-            owner = next(
-                name for name in scans if name in solved.poses and key in dict(scans[name]))
-            variables.append(Landmark(key, next(slots), owner, stamp))
+            owner, *others = [
+                name for name in scans if name in solved.poses and key in dict(scans[name])]
+            variables.append(
+                Landmark(key, next(slots), owner, stamp, is_reobserved=bool(others)))
         else:
             variables.append(replace(landmark, slot=next(slots)))
         first.append(x if landmark is None else before.first_estimate(landmark))

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.ekf import block_update
+from fej_slam_ros.core.ekf.gating import ScanGateStatistics
 from fej_slam_ros.core.estimator import Estimator, MAX_NEW_WITHOUT_ID
 from fej_slam_ros.core.ground_truth import MissingTruthError
 from fej_slam_ros.core.pieces import between_pieces
@@ -90,6 +91,38 @@ def test_the_anchor_is_in_the_map_from_its_first_odometry():
     np.testing.assert_allclose(pose.P, np.diag([0.01, 0.04, 0.0025]), rtol=1e-15)
     assert 'r1' not in estimator.groups.not_in_map
     assert results[0].joined == (('r1', 0),)
+
+
+def test_landmarks_that_several_robots_observe_at_step_0_count_as_observed_again():
+    estimator, _ = run(
+        team(anchor_pose=ANCHOR_POSE), *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    assert {
+        key: landmark.is_reobserved
+        for (_, key), landmark in estimator.groups.team.state.landmarks.items()
+    } == {1: True, 2: True, 7: False}
+
+
+def test_a_robot_whose_last_scan_failed_maps_again_after_a_gap_in_its_odometry():
+    seen = [(k, (4.0 + k % 2, 2.0 * k - 4.0)) for k in range(5)]
+    estimator = Estimator(team(
+        known=[('r2', R2_POSE, (0.01, 0.01, 0.01))], anchor_pose=R2_POSE))
+    lost_robots = estimator.innovations.lost_robots
+
+    def receive(*stamps):
+        for ms in stamps:
+            for record in (*both(ms), scan('r1', ms, seen), scan('r2', ms, seen)):
+                estimator.add(record)
+        assert list(estimator.release())
+
+    receive(0, 100, 200)
+    lost_robots.add({'r2': ScanGateStatistics(known=5, failed=5)})
+    assert lost_robots.is_suspected('r2')
+    receive(600_200, 600_300)
+
+    assert estimator.statistics.relocalized['r2'] == 1
+    assert not lost_robots.is_suspected('r2')
+    assert estimator.statistics.rejection_counts['r2'] == {}
 
 
 def test_a_robot_with_unknown_initial_pose_starts_at_the_origin_of_its_own_map():
