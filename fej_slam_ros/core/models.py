@@ -22,6 +22,13 @@ def Phi(d: Array) -> Array:
     return np.array([[1.0, 0.0, -d[1]], [0.0, 1.0, d[0]], [0.0, 0.0, 1.0]])
 
 
+def Phi_all(d: Array) -> Array:
+    """Return `Phi` of displacements d (k, 2), a (k, 3, 3) array."""
+    transitions = np.broadcast_to(np.eye(3), (len(d), 3, 3)).copy()
+    transitions[:, 0, 2], transitions[:, 1, 2] = -d[:, 1], d[:, 0]
+    return transitions
+
+
 def G(phi: float) -> Array:
     """Return the (3, 3) Jacobian of eq. (2) by the noise of u, at heading phi [rad], eq. (6)."""
     return pose_rotation(phi)

@@ -51,7 +51,6 @@ class Quarantine:
         elif motion.is_too_uncertain():
             self._restart(
                 motion.robot, motion.stamp, 'the gap in its odometry is too long for a prediction')
-            self._lost_robots.forget_scans(motion.robot)
         else:
             return False
         return True
@@ -91,7 +90,6 @@ class Quarantine:
         self._restart(
             robot, stamp,
             f'its heading has become uncertain by {sigma:.2f} rad since it was last corrected')
-        self._lost_robots.forget_scans(robot)
 
     def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart the lost ones of some robots if they can join again, by landmarks with IDs."""
@@ -99,8 +97,9 @@ class Quarantine:
             state = self._groups.of(robot).state
             remove_untrusted(state, robot)
             if _count_with_ids(state) >= min_landmarks:
-                self._restart(robot, stamp, f'likely lost, {self._lost_robots.reason(robot)}')
+                reason = f'likely lost, {self._lost_robots.reason(robot)}'
                 self._lost_robots.restart(robot)
+                self._restart(robot, stamp, reason)
 
     def allowed(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
         """Return a scan, of a robot that may be lost only the observations of known landmarks."""
@@ -131,6 +130,7 @@ class Quarantine:
                 yield association
 
     def _restart(self, robot: str, stamp: int, reason: str) -> None:
+        self._lost_robots.forget_scans(robot)
         self._statistics.count_restart(robot, reason)
         self._groups.restart(self._groups.robots[robot], stamp, reason)
 

@@ -19,7 +19,8 @@ from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
-from fej_slam_ros.core.smoothing.least_squares import concatenated, LandmarkFactors, Values
+from fej_slam_ros.core.smoothing.least_squares import (
+    concatenated, LandmarkFactors, rows_of, Values)
 
 #: Largest fraction of outliers; with more, the stated noise is wrong and none is removed.
 MAX_OUTLIER_FRACTION = 0.25
@@ -103,12 +104,12 @@ def _without(
     local: LocalMap, removed: Mapping[int, float], limit: float
 ) -> tuple[LocalMap, list[Outlier]]:
     """Return a map without some rows of its landmark observations, given with their d2."""
-    factors = concatenated(local.problem.landmarks)
+    factors = local.problem.landmarks
     rows = np.delete(np.arange(len(factors.z)), list(removed))
-    return replace(local, problem=replace(local.problem, landmarks=LandmarkFactors(
-        factors.pose[rows], factors.target[rows], factors.z[rows], factors.R[rows]))), [
-            Outlier(int(factors.pose[m]), local.landmarks[factors.target[m]], d2, limit)
-            for m, d2 in removed.items()]
+    kept = replace(local.problem, landmarks=rows_of(factors, rows))
+    return replace(local, problem=kept), [
+        Outlier(int(factors.pose[m]), local.landmarks[factors.target[m]], d2, limit)
+        for m, d2 in removed.items()]
 
 
 def _beyond(local: LocalMap, limit: float) -> dict[int, float]:

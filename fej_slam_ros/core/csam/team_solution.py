@@ -12,6 +12,7 @@ from hashlib import sha256
 
 import numpy as np
 
+from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
@@ -161,14 +162,14 @@ def _with_frame_error(solved: SmoothedMap, origin: Array, P: Array) -> SmoothedM
     """Return a map in a frame whose origin (3,) is uncertain itself, with covariance P (3, 3)."""
     def added(x: Array) -> Array:
         """Return the covariance (n, 3, 3) that poses or points x (n, d) gain."""
-        G = _frame_jacobians(x[:, :2] - origin[:2])
+        G = models.Phi_all(x[:, :2] - origin[:2])
         of_frame: Array = G @ P @ G.transpose(0, 2, 1)
         return of_frame
 
     trajectories = {}
     for robot, x in solved.trajectories.items():
         near = solved.points[x.landmarks[x.near.landmarks]]
-        G_pose, *G_points = _frame_jacobians(np.vstack([x.poses[-1:, :2], near]) - origin[:2])
+        G_pose, *G_points = models.Phi_all(np.vstack([x.poses[-1:, :2], near]) - origin[:2])
         G = np.vstack([G_pose, *(G_point[:2] for G_point in G_points)])
         trajectories[robot] = replace(
             x, P=x.P + added(x.poses), near=replace(x.near, P=x.near.P + G @ P @ G.T))
@@ -178,13 +179,6 @@ def _with_frame_error(solved: SmoothedMap, origin: Array, P: Array) -> SmoothedM
             robot: replace(b, P=b.P + added(b.pose[None])[0])
             for robot, b in solved.base_nodes.items()},
         P=solved.P + added(solved.points)[:, :2, :2])
-
-
-def _frame_jacobians(away: Array) -> Array:
-    """Return the Jacobians (n, 3, 3) of poses, away (n, 2) from the origin of a frame, by it."""
-    G = np.tile(np.eye(3), (len(away), 1, 1))
-    G[:, 0, 2], G[:, 1, 2] = -away[:, 1], away[:, 0]
-    return G
 
 
 def solution_hash(

@@ -282,11 +282,11 @@ class System:
                 problem.rendezvous.target):
             needed[np.array(used, np.intp)] = True
         self._chains = OdometryChains.of(odometry.pose, odometry.target, needed)
-        chained = _rows_of(odometry, self._chains.rows)
+        chained = rows_of(odometry, self._chains.rows)
         self._chained = ChainedIncrements.of(self._chains, chained.z, chained.R)
         single = np.delete(np.arange(len(odometry.z)), self._chains.rows)
         if len(self._chains.rows):
-            odometry = _rows_of(odometry, single)
+            odometry = rows_of(odometry, single)
         self._factors = [factors for factors in (odometry, *others) if len(factors.z) > 0]
         self._whiteners = [whitener(factors.R) for factors in self._factors]
         free = np.ones(poses + points, bool)
@@ -366,7 +366,7 @@ class System:
         return bool(np.abs(dx).max(initial=0.0) < self.tolerance)
 
 
-def _rows_of(factors: FactorsT, rows: Indices) -> FactorsT:
+def rows_of(factors: FactorsT, rows: Indices) -> FactorsT:
     """Return some of the factors, with one covariance each."""
     R = np.broadcast_to(factors.R, (len(factors.z), *factors.R.shape[-2:]))
     return replace(

@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
+from fej_slam_ros.core.models import Phi_all
 
 #: Rows and columns of the elements of a symmetric matrix (3, 3), and the element at each place.
 #: Arithmetic on one element of all matrices is an order faster than on one matrix after another.
@@ -137,7 +138,7 @@ class ChainedIncrements:
             to_end[:, part.rows], rho[:, part.rows], S[:, part.rows], of_part = (
                 self._linearized(columns, part))
             cost += of_part
-        return ReducedChains(chains, _Phi(poses[b, :2] - poses[a, :2]), to_end, rho, S, cost)
+        return ReducedChains(chains, Phi_all(poses[b, :2] - poses[a, :2]), to_end, rho, S, cost)
 
     def _linearized(
         self, poses: Array, part: 'PartOfChains'
@@ -243,7 +244,7 @@ class ReducedChains:
         P = (
             from_a @ P_a[chain] @ from_a.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
             + W @ P_b[chain] @ W.transpose(0, 2, 1) + (given + given.transpose(0, 2, 1)) / 2.0)
-        back = _Phi(-self.to_end[:, inner].T)
+        back = Phi_all(-self.to_end[:, inner].T)
         covariances: Array = back @ P @ back.transpose(0, 2, 1)
         return covariances
 
@@ -282,13 +283,6 @@ def _quadratic(elements: Array, x: Array, y: Array, phi: Array) -> float:
     return float(
         x @ (xx * x + 2.0 * (xy * y + x_phi * phi)) + y @ (yy * y + 2.0 * y_phi * phi)
         + phi @ (phi_phi * phi))
-
-
-def _Phi(d: Array) -> Array:
-    """Return the transitions (k, 3, 3) of `models.Phi` over displacements (k, 2)."""
-    Phi = np.broadcast_to(np.eye(3), (len(d), 3, 3)).copy()
-    Phi[:, 0, 2], Phi[:, 1, 2] = -d[:, 1], d[:, 0]
-    return Phi
 
 
 def _sums(values: Array, firsts: Indices, lengths: Indices) -> Array:
