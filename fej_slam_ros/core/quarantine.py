@@ -14,7 +14,7 @@ import math
 from fej_slam_ros.core.data_association.failure_detection import (
     LostRobotDetector, remove_untrusted)
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan
-from fej_slam_ros.core.ekf.gating import Association, MIN_KNOWN
+from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
@@ -108,9 +108,14 @@ class Quarantine:
             return scan
         keys = [
             group.filter.landmark_key(robot, s.id) for part in parts for s in part.observations]
-        known = {key for key in keys if key in group.state.landmarks}
-        # Fewer cannot show that the robot is where it is estimated.
-        known = known if len(known) >= MIN_KNOWN else set()
+        landmarks = group.state.landmarks
+        known = {key for key in keys if key in landmarks}
+        statistics = ScanGateStatistics()
+        for key in known:
+            statistics.add(robot, landmarks[key], failed=False)
+        if not statistics.can_clear():
+            known = set()
+            self._lost_robots.add_inconclusive(robot)
         for key in keys:
             if key not in known:
                 self._reject(robot, scan.with_ids.stamp, key[1])

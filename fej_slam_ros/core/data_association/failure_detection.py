@@ -24,6 +24,10 @@ LOST_AFTER = 3
 MIN_CONTRADICTIONS = 9
 MAX_FAILED_SCANS = 9
 
+#: Number of scans in a row that cannot tell whether a suspected robot is where it is estimated,
+#: after which it maps again. Otherwise one wrong scan before unknown ground would end its map.
+MAX_INCONCLUSIVE = 10
+
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
 PROBATION = 20
 
@@ -50,6 +54,7 @@ class LostRobotDetector:
 
     def __init__(self) -> None:
         self._failed: dict[str, list[ScanGateStatistics]] = {}
+        self._inconclusive: dict[str, int] = {}
         self._restarted: dict[str, str] = {}
         self._probation: dict[str, int] = {}
 
@@ -59,16 +64,25 @@ class LostRobotDetector:
             if scan.mostly_failed():
                 self._failed.setdefault(robot, []).append(scan)
                 del self._failed[robot][:-MAX_FAILED_SCANS]
-            elif scan.is_conclusive():
-                self._failed.pop(robot, None)
+                self._inconclusive.pop(robot, None)
+            elif scan.is_conclusive() or scan.confirms_pose():
+                self.forget_scans(robot)
+            elif self.is_suspected(robot):
+                self.add_inconclusive(robot)
             if robot in self._probation:
                 self._continue_probation(robot, scan)
+
+    def add_inconclusive(self, robot: str) -> None:
+        """Add a scan of a suspected robot with too few known landmarks to check its pose."""
+        self._inconclusive[robot] = self._inconclusive.get(robot, 0) + 1
+        if self._inconclusive[robot] == MAX_INCONCLUSIVE:
+            self.forget_scans(robot)
 
     def restart(self, robot: str) -> None:
         """Begin the probation of a lost robot that restarts in its own frame."""
         self._restarted[robot] = self.reason(robot) or ''
         self._probation[robot] = PROBATION
-        self._failed.pop(robot, None)
+        self.forget_scans(robot)
 
     def mark_found(self, in_map: Container[str]) -> None:
         """Clear the evidence against the robots that were lost and are in ``map`` again."""
@@ -77,15 +91,17 @@ class LostRobotDetector:
 
     def reset(self, robot: str) -> None:
         """Clear the evidence that a robot is lost."""
-        for evidence in (self._failed, self._restarted, self._probation):
-            evidence.pop(robot, None)
+        self.forget_scans(robot)
+        self._restarted.pop(robot, None)
+        self._probation.pop(robot, None)
 
     def forget_scans(self, robot: str) -> None:
-        """Forget the failed scans of a robot that restarts, which are of its former map."""
+        """End the suspicion that a robot is lost."""
         self._failed.pop(robot, None)
+        self._inconclusive.pop(robot, None)
 
     def is_suspected(self, robot: str) -> bool:
-        """Return whether most of the latest conclusive scan of a robot failed."""
+        """Return whether most of a scan of a robot failed, and none since has cleared it."""
         return robot in self._failed
 
     def must_restart(self, robot: str) -> bool:

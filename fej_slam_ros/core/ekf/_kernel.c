@@ -6,7 +6,7 @@
  * without the cost of numpy's calls on a few numbers.
  *
  * Small arrays may have any layout and any type of numbers; matrices of the size of the state are
- * Fortran arrays of double and changed in place. BLAS and LAPACK are those of scipy, through the
+ * Fortran arrays of double and changed in place. Arrays of other shapes raise. BLAS and LAPACK are those of scipy, through the
  * pointers that it offers to Cython.
  */
 
@@ -64,8 +64,9 @@ static PyObject *release(Arrays *a)
 
 /*
  * Take the arguments of the given kinds; return whether it succeeded, with no array held if not.
- * In C order: d double, i Py_ssize_t. In Fortran order: f double; c a copy of that; m a matrix that
- * is changed in place, which is never converted. n is a number.
+ * In C order: v, d and b of double with one, two and three axes; i of Py_ssize_t with one, I with
+ * two. In Fortran order, two axes: f double; c a copy of that; m a matrix that is changed in place,
+ * which is never converted. n is a number.
  */
 static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, const char *kinds)
 {
@@ -84,7 +85,9 @@ static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, const c
             }
             continue;
         }
-        int type = kinds[i] == 'i' ? NPY_INTP : NPY_DOUBLE, flags = NPY_ARRAY_CARRAY_RO;
+        int type = kinds[i] == 'i' || kinds[i] == 'I' ? NPY_INTP : NPY_DOUBLE;
+        int axes = kinds[i] == 'v' || kinds[i] == 'i' ? 1 : kinds[i] == 'b' ? 3 : 2;
+        int flags = NPY_ARRAY_CARRAY_RO;
         if (kinds[i] == 'f')
             flags = NPY_ARRAY_FARRAY_RO;
         if (kinds[i] == 'm')
@@ -102,9 +105,24 @@ static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, const c
             release(a);
             return 0;
         }
+        if (PyArray_NDIM((PyArrayObject *)array) != axes) {
+            PyErr_Format(PyExc_ValueError, "argument %d must have %d axes", i, axes);
+            release(a);
+            return 0;
+        }
     }
     a->taken = a->count;
     return 1;
+}
+
+/* Return whether the arguments fit each other, with no array held if not. */
+static int fit(Arrays *a, int is_fitting)
+{
+    if (!is_fitting) {
+        PyErr_SetString(PyExc_ValueError, "arrays of shapes that do not fit each other");
+        release(a);
+    }
+    return is_fitting;
 }
 
 static double *data(const Arrays *a, int i)
@@ -115,6 +133,31 @@ static double *data(const Arrays *a, int i)
 static Py_ssize_t length(const Arrays *a, int i, int axis)
 {
     return PyArray_DIM(a->array[i], axis);
+}
+
+static int is_vector(const Arrays *a, int i, Py_ssize_t n)
+{
+    return length(a, i, 0) == n;
+}
+
+static int is_matrix(const Arrays *a, int i, Py_ssize_t m, Py_ssize_t n)
+{
+    return length(a, i, 0) == m && length(a, i, 1) == n;
+}
+
+static int are_blocks(const Arrays *a, int i, Py_ssize_t l, Py_ssize_t m, Py_ssize_t n)
+{
+    return is_matrix(a, i, l, m) && length(a, i, 2) == n;
+}
+
+/* Whether all elements of an array of Py_ssize_t are indices of a vector of n. */
+static int are_indices(const Arrays *a, int i, Py_ssize_t n)
+{
+    const Py_ssize_t *index = PyArray_DATA(a->array[i]), count = PyArray_SIZE(a->array[i]);
+    for (Py_ssize_t k = 0; k < count; k++)
+        if (index[k] < 0 || index[k] >= n)
+            return 0;
+    return 1;
 }
 
 /* Create a result of up to three axes; return its elements, which are to be set, or NULL. */
@@ -166,7 +209,9 @@ static double wrap(double angle)
 static PyObject *moved(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "ddd"))
+    if (!take(&a, arguments, given, "vvd")
+            || !fit(&a, is_vector(&a, 0, POSE) && is_vector(&a, 1, POSE)
+                        && is_matrix(&a, 2, POSE, POSE)))
         return NULL;
     const double *x = data(&a, 0), *u = data(&a, 1), *Q = data(&a, 2);
     double *x_pred = vector(&a, 3), *N = matrix(&a, 3, 3, 0);
@@ -194,7 +239,8 @@ static PyObject *moved(PyObject *module, PyObject *const *arguments, Py_ssize_t 
 static PyObject *Phi(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "dd"))
+    if (!take(&a, arguments, given, "vv")
+            || !fit(&a, is_vector(&a, 0, POSE) && is_vector(&a, 1, POSE)))
         return NULL;
     const double *x = data(&a, 0), *x_next = data(&a, 1);
     double *transition = matrix(&a, 3, 3, 0);
@@ -227,7 +273,11 @@ static PyObject *propagated(PyObject *module, PyObject *const *arguments, Py_ssi
     if (!take(&a, arguments + is_first, given - is_first, is_first ? "ddd" : "dddd"))
         return NULL;
     Py_ssize_t d = length(&a, 0, 0);
-    int block = a.taken - 3;
+    int block = a.taken - 3, is_fitting = d <= POSE;
+    for (int i = 0; i < a.taken; i++)
+        is_fitting = is_fitting && is_matrix(&a, i, d, d);
+    if (!fit(&a, is_fitting))
+        return NULL;
     const double *Phi = data(&a, block + 1), *N = data(&a, block + 2);
     double *transition = matrix(&a, d, d, 0), *result = matrix(&a, d, d, 0);
     double left[POSE * POSE], P[POSE * POSE], Phi_T[POSE * POSE];
@@ -257,6 +307,9 @@ static PyObject *diagonal_block(PyObject *module, PyObject *const *arguments, Py
     if (!take(&a, arguments, given, "mnn"))
         return NULL;
     Py_ssize_t capacity = length(&a, 0, 0), start = a.number[0], size = a.number[1];
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && start >= 0 && size >= 0
+                 && start <= capacity - size))
+        return NULL;
     const double *first = data(&a, 0) + start * capacity + start;
     double *block = matrix(&a, size, size, 0);
     if (!block)
@@ -278,6 +331,9 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
     const double *Phi = data(&a, 1), *block = data(&a, 2);
     Py_ssize_t capacity = length(&a, 0, 0), d = length(&a, 1, 0);
     Py_ssize_t n = a.number[0], start = a.number[1];
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && d <= POSE && is_matrix(&a, 1, d, d)
+                 && is_matrix(&a, 2, d, d) && start >= 0 && start <= n - d && n <= capacity))
+        return NULL;
 
     for (Py_ssize_t j = 0; j < start; j++) {
         double *row = lower + j * capacity + start;
@@ -377,9 +433,9 @@ static PyObject *observed_states(PyObject *module, PyObject *const *arguments, P
 static PyObject *h(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "d"))
+    Py_ssize_t m = take(&a, arguments, given, "d") ? length(&a, 0, 0) : -1;
+    if (m < 0 || !fit(&a, is_matrix(&a, 0, m, STATES)))
         return NULL;
-    Py_ssize_t m = length(&a, 0, 0);
     double *z = matrix(&a, m, 2, 0);
     if (!z)
         return release(&a);
@@ -397,9 +453,9 @@ static PyObject *h(PyObject *module, PyObject *const *arguments, Py_ssize_t give
 static PyObject *H(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "d"))
+    Py_ssize_t m = take(&a, arguments, given, "d") ? length(&a, 0, 0) : -1;
+    if (m < 0 || !fit(&a, is_matrix(&a, 0, m, STATES)))
         return NULL;
-    Py_ssize_t m = length(&a, 0, 0);
     double *block = blocks(&a, m, 2, STATES);
     if (!block)
         return release(&a);
@@ -438,12 +494,16 @@ static Py_ssize_t touched(
 static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "mnidd"))
+    if (!take(&a, arguments, given, "mnIbb"))
         return NULL;
     const double *lower = data(&a, 0), *jacobian = data(&a, 2), *R = data(&a, 3);
     const Py_ssize_t *observed = PyArray_DATA(a.array[1]);
     Py_ssize_t capacity = length(&a, 0, 0), m = length(&a, 1, 0), d = length(&a, 1, 1);
     Py_ssize_t n = a.number[0], rows = 2 * m;
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && n >= 0 && n <= capacity
+                 && are_indices(&a, 1, n) && are_blocks(&a, 2, m, 2, d)
+                 && are_blocks(&a, 3, m, 2, 2)))
+        return NULL;
     Py_ssize_t *column_of = PyMem_Calloc(2 * n + 1, sizeof *column_of), *states = column_of + n;
     if (!column_of) {
         release(&a);
@@ -497,9 +557,9 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
 static PyObject *squared_distances(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "dd"))
+    Py_ssize_t m = take(&a, arguments, given, "db") ? length(&a, 0, 0) : -1;
+    if (m < 0 || !fit(&a, is_matrix(&a, 0, m, 2) && are_blocks(&a, 1, m, 2, 2)))
         return NULL;
-    Py_ssize_t m = length(&a, 0, 0);
     double *d2 = vector(&a, m);
     if (!d2)
         return release(&a);
@@ -517,11 +577,14 @@ static PyObject *squared_distances(PyObject *module, PyObject *const *arguments,
 static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "fccdn"))
+    if (!take(&a, arguments, given, "fccvn"))
         return NULL;
     double *P = data(&a, 0), *H = data(&a, 1), *L = data(&a, 2), one = 1.0, zero = 0.0;
     int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 0, 1), step = 1, failed_at = 0;
     int rows = (int)length(&a, 3, 0), n = (int)a.number[0];
+    if (!fit(&a, is_matrix(&a, 1, rows, k) && is_matrix(&a, 2, rows, rows)
+                 && n >= 0 && n <= capacity))
+        return NULL;
     double *dx = vector(&a, n), *y = vector(&a, rows), *W = matrix(&a, capacity, rows, 1);
     double log_det = 0.0;
     if (!dx || !y || !W)
@@ -559,10 +622,9 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
     double *lower = data(&a, 0), *W = data(&a, 1), one = 1.0, minus = -1.0;
     int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 1, 1);
     int n = (int)a.number[0];
-    if (length(&a, 1, 0) != capacity) {
-        PyErr_SetString(PyExc_ValueError, "the product has not the size of the triangle");
-        return release(&a);
-    }
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && is_matrix(&a, 1, capacity, k)
+                 && n >= 0 && n <= capacity))
+        return NULL;
 
     Py_BEGIN_ALLOW_THREADS
     dsyrk("L", "N", &n, &k, &minus, W, &capacity, &one, lower, &capacity);
@@ -575,10 +637,12 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
 static PyObject *retracted(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
     Arrays a;
-    if (!take(&a, arguments, given, "ddi"))
+    if (!take(&a, arguments, given, "vvi"))
         return NULL;
     const Py_ssize_t *headings = PyArray_DATA(a.array[2]);
     Py_ssize_t n = length(&a, 0, 0);
+    if (!fit(&a, is_vector(&a, 1, n) && are_indices(&a, 2, n)))
+        return NULL;
     double *corrected = vector(&a, n);
     if (!corrected)
         return release(&a);

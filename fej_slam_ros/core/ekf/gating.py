@@ -81,8 +81,11 @@ class ScanGateStatistics:
     trusted: int = 0  #: trusted landmarks among the known ones
     trusted_failed: int = 0  #: and among those that failed
 
-    def add(self, landmark: Landmark, failed: bool) -> None:
-        """Add the result of one landmark."""
+    def add(self, robot: str, landmark: Landmark, failed: bool) -> None:
+        """Add whether a robot's observation of a landmark failed, if the landmark can tell."""
+        # A landmark that another robot has just started may be wrong itself.
+        if not landmark.is_trusted and landmark.owner != robot:
+            return
         self.known += 1
         self.failed += failed
         self.trusted += landmark.is_trusted
@@ -91,6 +94,10 @@ class ScanGateStatistics:
     def is_conclusive(self) -> bool:
         """Return whether the scan can tell a wrong pose from a moved landmark."""
         return self.known >= MIN_KNOWN
+
+    def can_clear(self) -> bool:
+        """Return whether the scan can show that a suspected robot is where it is estimated."""
+        return self.is_conclusive() or self.trusted >= MIN_TRUSTED
 
     def mostly_failed(self) -> bool:
         """Return whether the robot's pose, not a landmark, is suspected."""
@@ -102,7 +109,7 @@ class ScanGateStatistics:
 
     def confirms_pose(self) -> bool:
         """Return whether trusted landmarks confirm the robot's pose."""
-        return self.trusted >= MIN_TRUSTED and not self.mostly_failed()
+        return self.trusted >= MIN_TRUSTED and 2 * self.trusted_failed < self.trusted
 
 
 def scan_gate_statistics(
@@ -112,10 +119,8 @@ def scan_gate_statistics(
     statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
     for a, failed in results:
         scan = statistics[a.observer.name]
-        # A landmark that another robot has just started may be wrong itself.
-        if isinstance(a.observed, Landmark) and (
-                a.observed.is_trusted or a.observed.owner == a.observer.name):
-            scan.add(a.observed, failed)
+        if isinstance(a.observed, Landmark):
+            scan.add(a.observer.name, a.observed, failed)
     return dict(statistics)
 
 

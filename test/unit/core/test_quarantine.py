@@ -55,6 +55,28 @@ def test_a_robot_whose_observations_fit_again_stays_in_map():
     assert not estimator.statistics.relocalized
 
 
+def test_two_trusted_landmarks_that_fit_end_a_suspicion():
+    few = VIEW[:2]
+
+    estimator, _ = estimate(standing([*[VIEW] * 5, SHIFTED, [*few, NEW], [*few, NEW]]))
+
+    assert estimator.statistics.rejection_counts['r2'] == {
+        RejectionReason.GATED: len(SHIFTED), RejectionReason.LOST_ROBOT: 1}
+    assert 9 in {f.id for f in estimator.landmarks()}
+
+
+@pytest.mark.parametrize('known', [[], VIEW[:1]])
+def test_a_suspected_robot_on_unknown_ground_maps_again_after_ten_scans(known):
+    estimator, _ = estimate(standing([*[VIEW] * 5, SHIFTED, *[[*known, NEW]] * 12]))
+
+    assert estimator.statistics.rejection_counts['r2'] == {
+        RejectionReason.GATED: len(SHIFTED), RejectionReason.LOST_ROBOT: 10 * (len(known) + 1)}
+    assert not estimator.innovations.lost_robots.is_suspected('r2')
+    positions = {f.id: f.position for f in estimator.landmarks()}
+    # Odometry between the scans, of 1 cm each, and noise of observations.
+    np.testing.assert_allclose(positions[9], NEW[1], atol=0.2)
+
+
 def test_robot_observations_of_a_robot_that_may_be_lost_are_rejected():
     # Too few landmarks to tell whether it is found.
     few = SHIFTED[:2]

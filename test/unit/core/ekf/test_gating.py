@@ -233,6 +233,6 @@ def test_trusted_landmarks_decide_whether_a_pose_is_suspected(trusted, failed, s
     statistics = ScanGateStatistics()
     for k, (is_trusted, has_failed) in enumerate(zip(trusted, failed)):
         landmark = Landmark(('', k), Slot(0, 2), 'r1', 0, is_trusted=is_trusted == '1')
-        statistics.add(landmark, has_failed == '1')
+        statistics.add('r1', landmark, has_failed == '1')
 
     assert statistics.mostly_failed() == suspected

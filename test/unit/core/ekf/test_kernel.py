@@ -235,11 +235,46 @@ def test_a_matrix_that_cannot_be_changed_in_place_is_refused(compiled, lower):
 def test_a_product_of_another_size_and_numbers_out_of_range_are_refused(compiled):
     lower = np.eye(4, order='F')
 
-    with pytest.raises(ValueError, match='size of the triangle'):
+    with pytest.raises(ValueError, match='do not fit'):
         compiled.subtract_product(lower, np.zeros((3, 2), order='F'), 3)
     with pytest.raises(TypeError, match='integer'):
         compiled.diagonal_block(lower, 1.5, 2)
     assert_array_equal(compiled.diagonal_block(lower, np.int64(1), 2), np.eye(2))
+
+
+POSE, SQUARE, FULL = np.zeros(3), np.eye(3), np.eye(4, order='F')
+STATES, JACOBIAN, R = np.array([[0, 1, 2, 2, 3]]), np.zeros((1, 2, 5)), np.zeros((1, 2, 2))
+
+
+@pytest.mark.parametrize(('function', 'arguments'), [
+    ('moved', (POSE, np.zeros(2), SQUARE)), ('moved', (POSE, POSE, np.diag(SQUARE))),
+    ('Phi', (POSE, np.zeros(2))), ('Phi', (POSE, SQUARE)),
+    ('propagated', (None, SQUARE, np.eye(2), SQUARE)), ('propagated', (None, *[np.eye(4)] * 3)),
+    ('propagated', (np.eye(2), SQUARE, SQUARE, SQUARE)),
+    ('diagonal_block', (FULL, 2, 3)), ('diagonal_block', (FULL, -1, 2)),
+    ('diagonal_block', (FULL, 0, -1)), ('settle', (FULL, 5, 0, SQUARE, SQUARE)),
+    ('settle', (FULL, 4, 2, SQUARE, SQUARE)), ('settle', (FULL, 4, -1, SQUARE, SQUARE)),
+    ('settle', (FULL, 4, 0, SQUARE, np.eye(2))), ('h', (np.zeros((2, 3)),)), ('h', (POSE,)),
+    ('H', (np.zeros((2, 3)),)), ('project', (FULL, 4, STATES + 1, JACOBIAN, R)),
+    ('project', (FULL, 4, -STATES, JACOBIAN, R)), ('project', (FULL, 5, STATES, JACOBIAN, R)),
+    ('project', (FULL, 4, STATES, JACOBIAN[..., :4], R)),
+    ('project', (FULL, 4, STATES, JACOBIAN, R[:, 0])),
+    ('project', (FULL, 4, STATES[0], JACOBIAN, R)),
+    ('squared_distances', (np.zeros((2, 2)), R)), ('squared_distances', (np.zeros(2), R)),
+    ('correction', (FULL, np.zeros((2, 3)), np.eye(2), np.zeros(2), 4)),
+    ('correction', (FULL, np.zeros((2, 4)), np.eye(3), np.zeros(2), 4)),
+    ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 5)),
+    ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 5)),
+    ('retracted', (POSE, np.zeros(2), [2])), ('retracted', (POSE, POSE, [3])),
+    ('retracted', (POSE, POSE, [-1]))])
+def test_arrays_of_other_shapes_are_refused(compiled, function, arguments):
+    # The compiled functions read memory without further checks.
+    before = FULL.copy()
+
+    with pytest.raises(ValueError, match='do not fit|must have'):
+        getattr(compiled, function)(*arguments)
+
+    assert_array_equal(FULL, before)
 
 
 def test_arrays_of_whole_numbers_are_converted(compiled, rng):
