@@ -271,7 +271,7 @@ def test_arrays_of_other_shapes_are_refused(compiled, function, arguments):
     # The compiled functions read memory without further checks.
     before = FULL.copy()
 
-    with pytest.raises(ValueError, match='do not fit|must have'):
+    with pytest.raises(ValueError, match=r'do not fit|must have'):
         getattr(compiled, function)(*arguments)
 
     assert_array_equal(FULL, before)
