@@ -155,7 +155,7 @@ class FrameGroups:
             self.team.filter.predict(Motion(robot.name, stamp, u, Q))
         self.not_in_map.pop(robot.name, None)
 
-    def restart(self, robot: RobotSettings, stamp: int, reason: str = '') -> None:
+    def restart(self, robot: RobotSettings, stamp: int, reason: str) -> None:
         """Restart a robot whose pose is unknown: it relocalizes by joining with a new map."""
         self._take_out(robot.name)
         # An anchor that has observed no landmark yet may restart at the origin of ``map``, unless
@@ -237,7 +237,8 @@ class FrameGroups:
         group.state.insert_robot(robot, stamp, np.zeros(3), np.zeros((3, 3)))
         self.others.append(group)
         self.not_in_map[robot] = self._void_starts.get(robot) or (
-            f'the anchor {self._settings.anchor} has observed no landmark')
+            'it has observed no landmark or robot since it began' if self.is_initialized
+            else f'the anchor {self._settings.anchor} has observed no landmark')
 
     def _take_out(self, robot: str) -> None:
         """Marginalize a robot and its rendezvous points out of all states."""

@@ -146,8 +146,9 @@ class TeamJoiner:
         self._statistics.pose_priors_used[robot] += len(due)
         for prior in due:
             if prior.is_too_uncertain():
-                self._statistics.count_restart(robot, 'its pose is not known')
-                self._groups.restart(self._groups.robots[robot], stamp)
+                reason = 'its pose is not known'
+                self._statistics.count_restart(robot, reason)
+                self._groups.restart(self._groups.robots[robot], stamp, reason)
             else:
                 self._groups.place(robot, stamp, prior.pose, prior.P)
         return bool(due)

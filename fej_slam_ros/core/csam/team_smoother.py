@@ -109,15 +109,21 @@ class TeamSmoother:
         stamp.
 
         """
-        if not isinstance(record, TrueLandmarks):
-            self.statistics.received[record.robot] += 1
+        if isinstance(record, TrueLandmarks):
+            self.truth.add(record)
+            return None
+        self.statistics.received[record.robot] += 1
+        if isinstance(record, (PosePrior, TruePose)) and record.robot not in self.robots:
+            self.statistics.reject(
+                Rejection(record.robot, record.stamp, RejectionReason.UNKNOWN_ROBOT))
+            return RejectionReason.UNKNOWN_ROBOT
         if isinstance(record, PosePrior):
             rejected = self._pose_priors.add(record)
             if rejected is not None:
                 self.statistics.reject(rejected)
             # The rejected prior may be the oldest of too many.
             return rejected.reason if rejected and rejected.stamp == record.stamp else None
-        if isinstance(record, (TrueLandmarks, TruePose)):
+        if isinstance(record, TruePose):
             self.truth.add(record)
             return None
         covariance = record.twist_covariance if isinstance(record, Odometry) else None

@@ -257,10 +257,10 @@ class Filter:
         Start unknown landmarks; return the associations of all other observations, for the update.
 
         The first observation of a landmark starts it and is used up; those of the same landmark by
-        other robots take part in this step's update.
+        other robots take part in this step's update. No more are started once the process ends.
 
         """
-        associations = []
+        associations, is_ended = [], False
         for scan in scans:
             robot, landmarks = self.state.robots[scan.robot], self.state.landmarks
             keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
@@ -275,11 +275,10 @@ class Filter:
             for key, observation in zip(keys, scan.observations):
                 if key in landmarks:
                     associations.append(Association(robot, landmarks[key], observation))
-                else:
+                elif not is_ended:
                     self.state.augment(
                         key, robot, *self._start(robot, key, observation), is_first)
-                    if pause():
-                        return associations
+                    is_ended = pause()
         return associations
 
     def start_rendezvous_point(self, key: RendezvousKey, observation: RobotObservation) -> None:

@@ -522,6 +522,20 @@ def test_a_full_map_starts_no_landmark_and_still_uses_its_own():
     assert estimator.statistics.observations_used['r1'] == 3 + 4 + 5
 
 
+def test_the_last_place_of_a_map_takes_all_observations_of_one_landmark():
+    estimator = Estimator(team('r1', max_landmarks=1))
+    for ms in (0, 100):
+        estimator.add(odometry('r1', ms, (0.0, 0.0, 0.0)))
+    # Scans of one stamp from two sensors, which are one scan of the step.
+    for seen in ([(5, (3.0, 3.0))], [(5, (3.01, 3.0)), (6, (2.0, 2.0))]):
+        estimator.add(scan('r1', 100, seen))
+    list(estimator.close())
+
+    assert [landmark.id for landmark in estimator.landmarks()] == [5]
+    assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.MAP_FULL: 1}
+    assert estimator.statistics.observations_used['r1'] == 2
+
+
 def test_a_scan_without_ids_starts_a_limited_number_of_landmarks():
     estimator = Estimator(team('r1'))
     seen = [(NO_ID, (float(k % 20), float(k // 20))) for k in range(120)]
@@ -532,6 +546,22 @@ def test_a_scan_without_ids_starts_a_limited_number_of_landmarks():
 
     assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.TOO_MANY_NEW: 20}
     assert len(estimator.groups.team.state.landmarks) == 1 + MAX_NEW_WITHOUT_ID
+
+
+def test_landmarks_that_an_ending_process_does_not_start_are_counted():
+    estimator = Estimator(team('r1'))
+    for ms, seen in ((0, row_of(2)), (100, row_of(6))):
+        estimator.add(odometry('r1', ms, (0.0, 0.0, 0.0)))
+        estimator.add(scan('r1', ms, seen))
+    steps = estimator.release()
+    next(steps)
+
+    with between_pieces(lambda: None, lambda: len(estimator.groups.team.state.landmarks) == 4):
+        next(steps)
+
+    assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.INTERRUPTED: 2}
+    assert [r.id for r in estimator.statistics.rejections] == [4, 5]
+    assert estimator.statistics.observations_used['r1'] == 2 + 4
 
 
 def test_observations_that_an_ending_process_leaves_out_are_counted(monkeypatch):

@@ -16,7 +16,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
-from fej_slam_ros.core.records import Odometry, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import Odometry, PosePrior, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import Values
@@ -44,6 +44,16 @@ def final_poses(smoother, robot):
 
 def true_poses(robot):
     return np.array([r.pose for r in RECORDS if isinstance(r, TruePose) and r.robot == robot])
+
+
+@pytest.mark.parametrize('record', [
+    PosePrior('r9', 0, np.zeros(3), np.eye(3)), TruePose('r9', 0, np.zeros(3))])
+def test_poses_of_a_robot_that_is_not_in_the_team_are_rejected(record):
+    smoother = TeamSmoother(team())
+
+    assert smoother.add(record) is RejectionReason.UNKNOWN_ROBOT
+
+    assert smoother.statistics.rejection_counts['r9'] == {RejectionReason.UNKNOWN_ROBOT: 1}
 
 
 def test_a_single_robot_ends_at_the_minimum_of_its_measurements():
