@@ -8,8 +8,7 @@ two calls: `add` a record, `take` the finished steps.
 """
 
 from collections import Counter
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import math
 import sys
 
@@ -33,21 +32,17 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
+from fej_slam_ros.core.new_landmarks import MAX_NEW_WITHOUT_ID, start_landmarks
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
-from fej_slam_ros.core.pieces import is_over
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    AnyScan, Motion, NO_ID, Observation, Odometry, PosePrior, PriorMap, Record, RobotScan, Scan,
-    Step, TrueLandmarks)
+    AnyScan, Motion, NO_ID, Odometry, PosePrior, PriorMap, Record, RobotScan, Scan, Step,
+    TrueLandmarks)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from fej_slam_ros.errors import UserError
-
-#: Maximum number of landmarks that observations without ID of a scan start, so that the clutter of
-#: one robot, which is deleted after 20 scans, does not fill a map of the default size.
-MAX_NEW_WITHOUT_ID = 100
 
 
 class BrokenEstimateError(UserError):
@@ -330,37 +325,11 @@ class Estimator:
         reason: RejectionReason = RejectionReason.MAP_FULL,
     ) -> list[Association]:
         """Start at most some new landmarks, and reject the others for a reason."""
-        if not scan.observations:
-            return []
         room = self.settings.max_landmarks - sum(
             len(state.landmarks) for state in self.groups.states())
         if room < most:
             most, reason = max(room, 0), RejectionReason.MAP_FULL
-        if len(scan.observations) > most:
-            new = dict.fromkeys(s.id for s in self._of_unknown(group, scan))
-            scan = self._without(scan, set([*new][most:]), reason)
-        associations = group.filter.start_landmarks([scan])
-        if is_over():
-            unknown = {s.id for s in self._of_unknown(group, scan)}
-            self._without(scan, unknown, RejectionReason.INTERRUPTED)
-        return associations
-
-    @staticmethod
-    def _of_unknown(group: FrameGroup, scan: Scan) -> list[Observation]:
-        """Return the observations of landmarks that are not in the state."""
-        landmarks = group.state.landmarks
-        return [
-            s for s in scan.observations
-            if group.filter.landmark_key(scan.robot, s.id) not in landmarks]
-
-    def _without(self, scan: Scan, ids: Container[int], reason: RejectionReason) -> Scan:
-        """Return a scan without the observations of some IDs, which are rejected for a reason."""
-        for observation in scan.observations:
-            if observation.id in ids:
-                self.statistics.reject_observation(
-                    Rejection(scan.robot, scan.stamp, reason, id=observation.id))
-        return replace(
-            scan, observations=tuple(s for s in scan.observations if s.id not in ids))
+        return start_landmarks(group.filter, scan, most, reason, self.statistics)
 
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
         """Record the statistics, moved landmarks and rejected observations of an update."""

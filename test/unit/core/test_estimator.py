@@ -11,8 +11,9 @@ import pytest
 
 from fej_slam_ros.core.ekf import block_update
 from fej_slam_ros.core.ekf.gating import ScanGateStatistics
-from fej_slam_ros.core.estimator import Estimator, MAX_NEW_WITHOUT_ID
+from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import MissingTruthError
+from fej_slam_ros.core.new_landmarks import MAX_NEW_WITHOUT_ID
 from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.records import (
     NO_ID, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks)

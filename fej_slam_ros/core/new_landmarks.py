@@ -1,0 +1,62 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Landmarks that a scan starts: a limited number, each observation left out with a reason."""
+
+from collections.abc import Container
+from dataclasses import replace
+
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Association
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.pieces import is_over
+from fej_slam_ros.core.records import Observation, Scan
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+
+#: Maximum number of landmarks that observations without ID of a scan start, so that the clutter of
+#: one robot, which is deleted after 20 scans, does not fill a map of the default size.
+MAX_NEW_WITHOUT_ID = 100
+
+
+def start_landmarks(
+    filter_: Filter, scan: Scan, most: int, reason: RejectionReason, statistics: InputStatistics
+) -> list[Association]:
+    """
+    Start unknown landmarks of a scan; return the associations of its other observations.
+
+    Parameters
+    ----------
+    filter_ : of the frame of the robot
+    scan : has an ID for each observation
+    most : maximum number of landmarks to start
+    reason : why the observations of further landmarks are rejected
+    statistics : counts these, and those that an ending process leaves out
+
+    """
+    if not scan.observations:
+        return []
+    if len(scan.observations) > most:
+        ids = dict.fromkeys(s.id for s in _of_unknown(filter_, scan))
+        scan = _without(scan, [*ids][most:], reason, statistics)
+    associations = filter_.start_landmarks([scan])
+    if is_over():
+        left_out = {s.id for s in _of_unknown(filter_, scan)}
+        _without(scan, left_out, RejectionReason.INTERRUPTED, statistics)
+    return associations
+
+
+def _of_unknown(filter_: Filter, scan: Scan) -> list[Observation]:
+    """Return the observations of landmarks that are not in the state."""
+    landmarks = filter_.state.landmarks
+    return [
+        s for s in scan.observations if filter_.landmark_key(scan.robot, s.id) not in landmarks]
+
+
+def _without(
+    scan: Scan, ids: Container[int], reason: RejectionReason, statistics: InputStatistics
+) -> Scan:
+    """Return a scan without the observations of some IDs, which are rejected for a reason."""
+    for observation in scan.observations:
+        if observation.id in ids:
+            statistics.reject_observation(
+                Rejection(scan.robot, scan.stamp, reason, id=observation.id))
+    return replace(scan, observations=tuple(s for s in scan.observations if s.id not in ids))
