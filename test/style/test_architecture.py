@@ -73,9 +73,10 @@ RULES = {
     'core/peers/': in_core('peers', 'csam', 'smoothing', 'ordering'),
     'core/calibration/': in_core('calibration', 'estimator', 'ordering'),
     'core/estimator.py': in_core(
-        'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'ordering', 'ekf',
-        'data_association'),
+        'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'new_landmarks',
+        'ordering', 'ekf', 'data_association'),
     'core/frame_groups.py': in_core('ekf', 'joining'),
+    'core/new_landmarks.py': in_core('ekf', 'ordering'),
     'core/innovation_monitor.py': in_core('ekf', 'data_association'),
     'core/team_joiner.py': in_core(
         'frame_groups', 'ekf', 'joining', 'data_association', 'ordering'),
