@@ -9,9 +9,12 @@ two recordings are joined, the stamps pass a time twice, in which sorted rows of
 mix, or return to a time far before all others.
 """
 
+from itertools import combinations
+
 import numpy as np
 from numpy.typing import NDArray
 
+from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.records import NS
 
 Stamps = NDArray[np.int64]
@@ -24,6 +27,11 @@ MIN_DENSITY = 0.5
 MAX_CHANGES = 6
 #: Longer steps, relative to the median one, are gaps and do not count for the rate.
 GAP_STEPS = 10.0
+#: Maximum number of periods between two rows of a regular log that follow each other.
+MAX_PERIODS = 3.0
+#: Number of successive jumps, among which are those of two blocks in the wrong order: three, and a
+#: step of the clock.
+MAX_JUMPS = 4
 
 
 def steps_back(stamps: Stamps) -> list[int]:
@@ -39,20 +47,48 @@ def period(stamps: Stamps) -> float:
     return float(steps[steps <= GAP_STEPS * np.median(steps)].mean()) if len(steps) else 0.0
 
 
+def recorded_order(stamps: Stamps) -> Indices:
+    """
+    Return the order in which rows were recorded, where blocks of them were written late.
+
+    Two blocks in the wrong order leave three jumps, and each continues what is next to the other.
+    Their own order says on which side of a step of the clock they were recorded; sorted by stamp,
+    it is lost.
+    """
+    order = np.arange(len(stamps))
+    longest = max(MAX_PERIODS * period(stamps), MAX_DISORDER)
+    steps = np.diff(stamps)
+    jumps = (np.flatnonzero((steps < -MAX_DISORDER) | (steps > longest)) + 1).tolist()
+    end = 0
+    for first, *later in (jumps[k:k + MAX_JUMPS] for k in range(len(jumps))):
+        for middle, last in combinations(later, 2):
+            joints = stamps[middle] - stamps[first - 1], stamps[last] - stamps[middle - 1]
+            if first >= end and all(-MAX_DISORDER <= joint <= longest for joint in joints):
+                order[first:last] = np.roll(order[first:last], first - middle)
+                end = last
+    return order
+
+
 def breaks(stamps: Stamps) -> list[int]:
     """Return the rows at which a log continues with another clock, or another recording."""
+    return _breaks(stamps, period(stamps))
+
+
+def _breaks(stamps: Stamps, step: float) -> list[int]:
+    """Divide a log at the step back where its rows mix most, and both parts likewise."""
     back = steps_back(stamps)
-    return [
-        row for begin, row, end in zip([0, *back], back, [*back[1:], len(stamps)])
-        if not _is_regular(stamps[begin:row], stamps[row:end], stamps)]
+    changes = [_changes(stamps, row, step) for row in back]
+    if max(changes, default=0.0) <= MAX_CHANGES:
+        return []
+    row = back[int(np.argmax(changes))]
+    return [*_breaks(stamps[:row], step), row, *(row + k for k in _breaks(stamps[row:], step))]
 
 
-def _is_regular(before: Stamps, after: Stamps, stamps: Stamps) -> bool:
-    """Return whether a log, sorted, is regular in the time between its rows at a step back."""
-    low, high = after[0], before[-1]
-    between = stamps[(low < stamps) & (stamps < high)]
-    if (len(between) + 1) * period(stamps) < MIN_DENSITY * float(high - low):
-        return False
-    order = np.argsort(np.concatenate([before, after]), kind='stable')
-    changes = int(np.count_nonzero(np.diff(order < len(before))))
-    return changes <= MAX_CHANGES
+def _changes(stamps: Stamps, row: int, step: float) -> float:
+    """Return how often rows before and after a step back alternate; inf if they leave a gap."""
+    low, high = stamps[row], stamps[row - 1]
+    between = np.flatnonzero((low < stamps) & (stamps < high))
+    if (len(between) + 1) * step < MIN_DENSITY * float(high - low):
+        return np.inf
+    in_order = between[np.argsort(stamps[between], kind='stable')]
+    return float(np.count_nonzero(np.diff(in_order < row)))

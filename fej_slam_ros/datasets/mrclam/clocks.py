@@ -17,7 +17,8 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
 from fej_slam_ros.core.motion_models import arc_poses
-from fej_slam_ros.core.ordering.backward_stamps import breaks, period, steps_back
+from fej_slam_ros.core.ordering.backward_stamps import (
+    breaks, period, recorded_order, steps_back)
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.series import drop, joined, Series, Stamps
 
@@ -92,6 +93,8 @@ def in_order(
         return ClockPart(commands.in_order(), observations.in_order())
     commands, observations = (
         _without_repeated(series, counts) for series in (commands, observations))
+    if breaks(commands.stamps):
+        commands = commands.reordered(recorded_order(commands.stamps))
     drives: list[list[ClockPart]] = []
     for part in _parts(commands, observations, counts):
         if drives and _goes_on(drives[-1][-1], part, moving):

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.geometry import Array, Flags, Indices
 
 Stamps = NDArray[np.int64]
 
@@ -28,6 +28,10 @@ class Series:
         """Return successive rows."""
         return Series(self.stamps[rows], self.rows[rows])
 
+    def reordered(self, order: Indices) -> 'Series':
+        """Return the rows in another order."""
+        return Series(self.stamps[order], self.rows[order])
+
     def where(self, wanted: Flags) -> 'Series':
         """Return some of the rows."""
         return Series(self.stamps[wanted], self.rows[wanted])
@@ -38,8 +42,7 @@ class Series:
 
     def in_order(self) -> 'Series':
         """Return the rows in the order of stamps; those of one stamp keep their order."""
-        order = np.argsort(self.stamps, kind='stable')
-        return Series(self.stamps[order], self.rows[order])
+        return self.reordered(np.argsort(self.stamps, kind='stable'))
 
     def shifted(self, by: int) -> 'Series':
         """Return the rows with stamps on another clock [ns]."""

@@ -5,7 +5,7 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
+from fej_slam_ros.core.ordering.backward_stamps import breaks, recorded_order, steps_back
 
 MS = 1_000_000
 
@@ -48,6 +48,48 @@ def test_a_clock_that_is_set_back_is_a_break(back):
     stamps = np.concatenate([regular(0, 8000), regular(8000 - back, 20_000)])
 
     assert breaks(stamps) == [len(regular(0, 8000))]
+
+
+def written_late(stamps, number, rng, around=()):
+    """Return rows of which pairs of blocks of 10 to 25 rows are written in the wrong order."""
+    order = np.arange(len(stamps))
+    for begin in (*around, *(50 * rng.choice(len(stamps) // 50 - 1, number, replace=False))):
+        middle, end = begin + rng.integers(10, 25, 2).cumsum()
+        order[begin:end] = np.roll(order[begin:end], begin - middle)
+    return order
+
+
+@pytest.mark.parametrize('seed', range(10))
+@pytest.mark.parametrize('back', [2000, 40_000])
+def test_a_clock_that_is_set_back_is_found_among_rows_written_late(back, seed):
+    rng = np.random.default_rng(seed)
+    stamps = np.concatenate([regular(0, 80_000), regular(80_000 - back, 160_000)])
+    step, order = len(regular(0, 80_000)), written_late(stamps, 30, rng)
+
+    (row,) = breaks(stamps[order])
+
+    # Blocks of up to 50 rows may have the step inside.
+    assert abs(row - step) <= 50
+
+
+def test_rows_written_late_alone_are_no_break():
+    rng = np.random.default_rng(3)
+    stamps = regular(0, 160_000)
+
+    assert breaks(stamps[written_late(stamps, 30, rng)]) == []
+
+
+@pytest.mark.parametrize('before', [3, 12, 20, 30])
+def test_blocks_in_the_wrong_order_across_a_step_of_the_clock_are_put_in_order(before):
+    rng = np.random.default_rng(before)
+    stamps = np.concatenate([regular(0, 80_000), regular(78_000, 160_000)])
+    step = len(regular(0, 80_000))
+    order = written_late(stamps, 0, rng, around=[step - before])
+
+    recorded = order[recorded_order(stamps[order])]
+
+    np.testing.assert_array_equal(recorded, np.arange(len(stamps)))
+    assert breaks(stamps[recorded]) == [step]
 
 
 def test_a_clock_that_is_set_back_to_long_before_is_a_break():
