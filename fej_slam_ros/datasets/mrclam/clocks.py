@@ -10,70 +10,31 @@ another recording, and left out.
 
 from collections import Counter
 from collections.abc import Container, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
-from fej_slam_ros.core.motion_models import arc_poses
 from fej_slam_ros.core.ordering.backward_stamps import (
     breaks, period, recorded_order, steps_back)
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
+from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP, positions
 from fej_slam_ros.datasets.mrclam.series import drop, joined, Series, Stamps
 
 #: Landmarks observed within this time [ns] on both sides of a break are compared.
 COMPARED_TIME = 20 * NS
-#: Without such landmarks a step back up to this [ns] is taken for that of a clock; and rows before
-#: or after all others, up to this away, for a part of the same recording.
-MAX_STEP = 60 * NS
 #: Maximum difference of a landmark's positions by two observations: constant [m], per metre of
 #: range, and per metre times the root of the seconds in between, in which odometry turns away.
 POSITION_TOLERANCE = np.array([0.2, 0.08, 0.04])
 #: Share of the landmarks that must agree; a bar code may be misread.
 MOST = 0.75
-#: True poses are compared over windows from 1 s to `MAX_WINDOW`, in errors up to 1 rad.
-MIN_WINDOW, MAX_WINDOW = NS, 60 * NS
-MIN_WINDOWS = 10
 #: Share of copies among the rows at a time that was passed before, if these are repeated, and
 #: number of different ones: rows of another time may be equal by chance.
 MIN_COPIES, MIN_DIFFERENT = 0.8, 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ClockPart:
-    """Rows of one robot by one clock, in the order of stamps."""
-
-    commands: Series
-    observations: Series  #: Subject, range [m], bearing [rad, left]
-    #: Stamps of the first commands after another clock: the time before these is not known well
-    joints: tuple[int, ...] = ()
-
-    def shifted(self, by: int) -> 'ClockPart':
-        """Return the rows with stamps on another clock [ns]."""
-        return ClockPart(
-            self.commands.shifted(by), self.observations.shifted(by),
-            tuple(stamp + by for stamp in self.joints))
-
-    def is_next_to(self, other: 'ClockPart') -> bool:
-        """Return whether all commands of one are soon after those of the other."""
-        begins, ends = zip(*((part.commands.stamps[0], part.commands.stamps[-1]) for part in (
-            self, other)))
-        return bool(0 < max(begins) - min(ends) <= MAX_STEP)
-
-    def with_rows_of(self, *others: 'ClockPart') -> 'ClockPart':
-        """Return the rows of all, in the order of stamps."""
-        parts = [self, *others]
-        begins = sorted(int(part.commands.stamps[0]) for part in parts)[1:]
-        return ClockPart(
-            joined([part.commands for part in parts]).in_order(),
-            joined([part.observations for part in parts]).in_order(),
-            (*(stamp for part in parts for stamp in part.joints), *begins))
-
-
 def in_order(
-    commands: Series, observations: Series, moving: Container[int], truth: Series,
-    counts: Counter[str],
+    commands: Series, observations: Series, evidence: ClockEvidence, counts: Counter[str]
 ) -> ClockPart:
     """
     Return the commands and observations of a robot in the order of their times.
@@ -81,8 +42,7 @@ def in_order(
     Parameters
     ----------
     commands, observations : in the order of recording, by one clock
-    moving : subjects that are no landmarks
-    truth : true poses in the order of stamps; where known they tell which clock was right
+    evidence : tells which clock was right, where the rows have several
     counts : is increased by the rows that were late, repeated, shifted or left out
 
     """
@@ -97,14 +57,14 @@ def in_order(
         commands = commands.reordered(recorded_order(commands.stamps))
     drives: list[list[ClockPart]] = []
     for part in _parts(commands, observations, counts):
-        if drives and _goes_on(drives[-1][-1], part, moving):
+        if drives and _goes_on(drives[-1][-1], part, evidence.moving):
             drives[-1].append(part)
         else:
             drives.append([part])
     drives.sort(key=lambda drive: sum(len(part.commands) for part in drive), reverse=True)
-    kept = _on_one_clock(drives[0], truth, counts)
+    kept = _on_one_clock(drives[0], evidence, counts)
     for drive in drives[1:]:
-        other = _on_one_clock(drive, truth, counts)
+        other = _on_one_clock(drive, evidence, counts)
         if not kept.is_next_to(other):
             counts['command of another recording'] += len(other.commands)
             counts['observation of another recording'] += len(other.observations)
@@ -182,7 +142,7 @@ def _landmark_differences(
     after = later.observations.between(end, end + COMPARED_TIME)
     commands = joined([earlier.commands, later.commands])
     last = {int(subject): k for k, subject in enumerate(before.rows[:, 0])}
-    points_before, points_after = (_positions(commands, of) for of in (before, after))
+    points_before, points_after = (positions(commands, of) for of in (before, after))
     differences = {}
     for row, subject in enumerate(after.rows[:, 0].astype(int).tolist()):
         if subject not in moving and subject in last and subject not in differences:
@@ -195,26 +155,13 @@ def _landmark_differences(
     return list(differences.values())
 
 
-def _positions(commands: Series, observations: Series) -> Array:
-    """Return the observed positions (n, 2) in the frame of odometry."""
-    poses = poses_at(observations.stamps, commands.stamps, _odometry(commands))
-    r, bearing = observations.rows[:, 1], poses[:, 2] + observations.rows[:, 2]
-    points: Array = poses[:, :2] + r[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
-    return points
-
-
-def _odometry(commands: Series) -> Array:
-    dt = np.diff(commands.stamps) / NS
-    v, w = commands.rows[:-1].T
-    return arc_poses(v * dt, w * dt)
-
-
-def _on_one_clock(parts: Sequence[ClockPart], truth: Series, counts: Counter[str]) -> ClockPart:
+def _on_one_clock(
+    parts: Sequence[ClockPart], evidence: ClockEvidence, counts: Counter[str]
+) -> ClockPart:
     """
     Return successive parts of a drive on the clock of one of them.
 
-    That is the clock on which commands fit the true poses best or, where these are too few, the
-    clock of most commands.
+    That is the clock that fits the evidence best or, where there is none, that of most commands.
     """
     shifts = np.cumsum([0, *(_shift(a.commands, b.commands) for a, b in pairwise(parts))])
     first, *others = parts
@@ -222,24 +169,11 @@ def _on_one_clock(parts: Sequence[ClockPart], truth: Series, counts: Counter[str
         first.shifted(int(-shift)).with_rows_of(
             *(part.shifted(int(by)) for part, by in zip(others, shifts[1:] - shift)))
         for shift in shifts]
-    errors = [_turn_error(drive.commands, truth) for drive in drives]
-    fewer = [-len(part.commands) for part in parts]
-    chosen = int(np.argmin(errors if np.isfinite(errors).any() else fewer))
+    errors = evidence.errors(drives)
+    chosen = int(np.argmin([-len(part.commands) for part in parts] if errors is None else errors))
+    which = 'set back' if errors is not None else 'set back, nothing tells which was right'
     for part, by in zip(parts, shifts - shifts[chosen]):
         if by:
             rows = len(part.commands) + len(part.observations)
-            counts[f'row shifted by {by / NS:+.3f} s (its clock was set back)'] += rows
+            counts[f'row shifted by {by / NS:+.3f} s (its clock was {which})'] += rows
     return drives[chosen]
-
-
-def _turn_error(commands: Series, truth: Series) -> float:
-    """Return the mean error [rad] of the turns between true poses; inf if these are too few."""
-    within = truth.between(commands.stamps[0], commands.stamps[-1])
-    seconds = within.stamps // MIN_WINDOW
-    within = within.where(np.diff(seconds, prepend=-1) > 0)
-    used = np.diff(within.stamps) <= MAX_WINDOW
-    if used.sum() < MIN_WINDOWS:
-        return np.inf
-    headings = poses_at(within.stamps, commands.stamps, _odometry(commands))[:, 2]
-    errors = np.abs(wrap_all(np.diff(within.rows[:, 2]) - np.diff(headings)))
-    return float(np.minimum(errors[used], 1.0).mean())

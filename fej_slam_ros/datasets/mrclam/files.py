@@ -8,16 +8,19 @@ its true poses by motion capture. Impossible rows are dropped and counted by rea
 """
 
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 import math
 from pathlib import Path
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
+from fej_slam_ros.core.ordering.backward_stamps import breaks
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
+from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
+from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart
 from fej_slam_ros.datasets.mrclam.clocks import in_order
 from fej_slam_ros.datasets.mrclam.series import drop, Series, Stamps
 from fej_slam_ros.errors import UserError
@@ -62,8 +65,8 @@ def read(folder: Path) -> MrclamSet:
     """Return the set in a folder, which must hold bar codes and the odometry of a robot."""
     require_folder(folder, 'the files of an MRCLAM set')
     codes = _subjects_by_code(folder / 'Barcodes.dat')
-    logs = {robot: _log(folder, robot, codes) for robot in ROBOT_SUBJECTS}
-    complete = {robot: log for robot, log in logs.items() if len(log.commands) > 1}
+    logs = _logs([_recorded(folder, robot, codes) for robot in ROBOT_SUBJECTS])
+    complete = {log.robot: log for log in logs if len(log.commands) > 1}
     if not complete:
         raise UserError(
             f'{folder} holds no odometry of any robot: put Robot1_Odometry.dat and so on there,'
@@ -89,20 +92,39 @@ def _landmarks(folder: Path) -> tuple[dict[int, Array], str]:
     return {}, ''
 
 
-def _log(folder: Path, robot: int, codes: Mapping[int, int]) -> RobotLog:
+def _recorded(folder: Path, robot: int, codes: Mapping[int, int]) -> RobotLog:
+    """Return the rows of a robot in the order of recording."""
     counts: Counter[str] = Counter()
     truth = _true_poses(folder, robot, counts)
-    ordered = in_order(
-        _series(folder / f'Robot{robot}_Odometry.dat', 3, counts),
-        _identified(
-            _series(folder / f'Robot{robot}_Measurement.dat', 4, counts), robot, codes, counts),
-        ROBOT_SUBJECTS, truth, counts)
-    commands, observations = ordered.commands, ordered.observations
+    commands = _series(folder / f'Robot{robot}_Odometry.dat', 3, counts)
+    observations = _identified(
+        _series(folder / f'Robot{robot}_Measurement.dat', 4, counts), robot, codes, counts)
+    return RobotLog(robot, commands, observations, truth, counts)
+
+
+def _logs(recorded: Sequence[RobotLog]) -> list[RobotLog]:
+    """Return logs in the order of stamps; clocks that were set last, which others may tell."""
+    ordered: dict[int, ClockPart] = {}
+    for log in sorted(recorded, key=_is_doubtful):
+        evidence = ClockEvidence(log.truth, ROBOT_SUBJECTS, log.robot, {
+            robot: part for robot, part in ordered.items() if len(part.commands) > 1})
+        ordered[log.robot] = in_order(log.commands, log.observations, evidence, log.counts)
+    return [_checked(log, ordered[log.robot]) for log in recorded]
+
+
+def _is_doubtful(log: RobotLog) -> tuple[bool, int]:
+    """Return what sorts the logs by how well their clocks are known."""
+    return bool(breaks(log.commands.stamps)), -len(log.truth)
+
+
+def _checked(log: RobotLog, ordered: ClockPart) -> RobotLog:
+    """Return a log of ordered rows, one command at each stamp and one observation of a subject."""
+    commands, counts = ordered.commands, log.counts
     replaced = np.diff(commands.stamps, append=LAST_SECOND * NS) == 0
     commands = drop(commands, replaced, 'command replaced at its own stamp', counts)
-    return RobotLog(
-        robot, commands, _once_in_scan(observations, counts),
-        _without_slips(truth, commands, counts), counts, ordered.joints)
+    return replace(
+        log, commands=commands, observations=_once_in_scan(ordered.observations, counts),
+        truth=_without_slips(log.truth, commands, counts), joints=ordered.joints)
 
 
 def _true_poses(folder: Path, robot: int, counts: Counter[str]) -> Series:

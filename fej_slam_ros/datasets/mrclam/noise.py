@@ -94,16 +94,15 @@ class ObservationNoise:
 class WindowIncrements:
     """Motion of robots over windows of time."""
 
-    #: (n, 3) arrays, poses at the end in the frame of the beginning [m, m, rad].
+    #: (n, 3) arrays, poses at the end in the frame of the beginning [m, m, rad]; turns beyond half
+    #: a turn are not wrapped.
     true: Array
     measured: Array
     commanded: Array  #: (n, 2) array, distance [m] and turn [rad] that were commanded, unsigned
 
     def errors(self) -> Array:
         """Return the errors of odometry, true - measured, (n, 3)."""
-        errors = self.true - self.measured
-        errors[:, 2] = wrap_all(errors[:, 2])
-        return errors
+        return self.true - self.measured
 
 
 def is_measurable(data: MrclamSet) -> bool:
@@ -287,8 +286,11 @@ def _increments(
     truth, known = true_poses(log.truth, edges)
     # Motion in a long gap between commands is not an odometry error.
     used = known[:-1] & known[1:] & (commanded[:, 2] == 0.0)
-    measured = poses_at(edges, stamps, poses)
-    return _differences(truth)[used], _differences(measured)[used], commanded[used, :2]
+    true, measured = _differences(truth), _differences(poses_at(edges, stamps, poses))
+    # A robot may turn by more than half a turn in a window.
+    measured[:, 2] = np.diff(np.interp(edges, stamps, np.unwrap(poses[:, 2])))
+    true[:, 2] = measured[:, 2] + wrap_all(true[:, 2] - measured[:, 2])
+    return true[used], measured[used], commanded[used, :2]
 
 
 def _differences(poses: Array) -> Array:

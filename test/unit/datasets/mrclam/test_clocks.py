@@ -8,6 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
+from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart
 from fej_slam_ros.datasets.mrclam.clocks import in_order
 from fej_slam_ros.datasets.mrclam.series import joined, Series
 
@@ -25,7 +27,7 @@ def drive(seed, seconds=120.0):
     times = np.arange(0.0, seconds, PERIOD)
     # New speeds each 2 s; the robot turns on the spot or drives small circles.
     commands = np.repeat(
-        np.column_stack([rng.uniform(0.02, 0.2, 100), rng.uniform(-0.6, 0.6, 100)]),
+        np.column_stack([rng.uniform(0.02, 0.2, 200), rng.uniform(-0.6, 0.6, 200)]),
         round(2.0 / PERIOD), axis=0)[:len(times)]
     poses = [np.zeros(3)]
     for v, w in commands[:-1]:
@@ -58,9 +60,10 @@ def cut(series, *edges):
             for a, b in pairwise(edges)]
 
 
-def ordered(commands, observations, truth=UNUSED):
+def ordered(commands, observations, truth=UNUSED, others=None):
     counts = Counter()
-    found = in_order(commands, observations, ROBOTS, truth, counts)
+    evidence = ClockEvidence(truth, ROBOTS, 1, others or {})
+    found = in_order(commands, observations, evidence, counts)
     return found.commands, found.observations, +counts
 
 
@@ -122,6 +125,37 @@ def test_a_clock_that_was_set_back_goes_on_as_true_poses_tell(back, when, right)
     assert abs(float(shifted.split()[3])) == pytest.approx(back, abs=PERIOD)
 
 
+def meetings(truth, other, subject):
+    """Return observations of another robot at the stamps of true poses."""
+    x, y, phi = truth.rows.T
+    dx, dy = other.rows[:, 0] - x, other.rows[:, 1] - y
+    return Series(truth.stamps, np.column_stack([
+        np.full(len(truth), subject), np.hypot(dx, dy), np.arctan2(dy, dx) - phi]))
+
+
+@pytest.mark.parametrize('by', ['itself', 'the other'])
+@pytest.mark.parametrize('right', ['before', 'after'])
+def test_without_true_poses_the_robots_that_are_met_tell_which_clock_was_right(right, by):
+    commands, landmarks, truth = drive(4, seconds=300.0)
+    *other, other_truth = drive(9, seconds=300.0)
+    if by == 'itself':
+        landmarks = joined([landmarks, meetings(truth, other_truth, 2)]).in_order()
+    else:
+        other[1] = joined([other[1], meetings(other_truth, truth, 1)]).in_order()
+    # The wrong part is the longer one.
+    when, before, after = (100.0, 0, -8 * S) if right == 'before' else (200.0, 8 * S, 0)
+    stepped = [joined([
+        s.where(s.stamps < at(when)).shifted(before),
+        s.where(s.stamps >= at(when)).shifted(after)]) for s in (commands, landmarks)]
+
+    found, seen, counts = ordered(*stepped, others={2: ClockPart(*other)})
+
+    for of, expected in zip((found, seen), (commands, landmarks)):
+        assert np.abs(of.stamps - expected.stamps).max() <= PERIOD * S
+    (shifted,) = [reason for reason in counts if reason.startswith('row shifted by')]
+    assert 'nothing tells' not in shifted
+
+
 def test_without_true_poses_the_longer_part_keeps_its_stamps():
     series = drive(5)[:2]
     stepped = [joined([
@@ -131,7 +165,8 @@ def test_without_true_poses_the_longer_part_keeps_its_stamps():
     found, _, counts = ordered(*stepped)
 
     assert found.stamps[0] == series[0].stamps[0]
-    assert counts['row shifted by +10.000 s (its clock was set back)'] == sum(
+    assert counts[
+        'row shifted by +10.000 s (its clock was set back, nothing tells which was right)'] == sum(
         len(s.where(s.stamps >= at(90))) for s in series)
 
 

@@ -33,11 +33,12 @@ def synthetic(tmp_path_factory):
     return synthetic_set(tmp_path_factory.mktemp('set'))
 
 
-def synthetic_set(folder, own_turns=(0.0, 0.0), truth_seconds=0.0):
+def synthetic_set(folder, own_turns=(0.0, 0.0), truth_seconds=0.0, turn_rate=0.5, held=1):
     """Write and read a set whose robot also turns by itself, with few true poses on request."""
     rng = np.random.default_rng(1)
     stamps = 100.0 + np.arange(RATE * SECONDS) / RATE
-    commands = np.repeat(rng.uniform((0.0, -0.5), (0.1, 0.5), (SECONDS, 2)), RATE, axis=0)
+    commands = np.repeat(
+        rng.uniform((0.0, -turn_rate), (0.1, turn_rate), (SECONDS // held, 2)), RATE * held, 0)
     steps = commands * SCALE / RATE
     steps[:, 1] += steps @ own_turns
     noise = rng.normal(size=steps.shape) * np.sqrt(
@@ -69,6 +70,13 @@ def test_delay_and_scale_are_measured(synthetic):
 
     assert measured.motion_delay == pytest.approx(DELAY, abs=0.01)
     assert measured.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
+
+
+def test_the_scale_of_turns_is_measured_on_robots_that_turn_around(tmp_path):
+    # A turn of up to 3.6 rad in each of the windows of 5 s, which headings alone do not show.
+    turning = synthetic_set(tmp_path / 'set', turn_rate=0.9, held=10)
+
+    assert measured_options(turning).odometry_scale == pytest.approx(SCALE, abs=0.02)
 
 
 @pytest.mark.parametrize('truth_seconds', [0.0, 10.0, 50.0])
