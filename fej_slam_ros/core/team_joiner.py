@@ -17,11 +17,11 @@ from fej_slam_ros.core.joining.constellations import any_without_id, with_shared
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner
-from fej_slam_ros.core.joining.outlying_landmarks import OUTLIER_D2
 from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.pieces import EndedError
+from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import NO_ID, NS, RendezvousKey, RobotScan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings

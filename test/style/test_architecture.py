@@ -43,8 +43,8 @@ BASIC = (
     + ' '.join(f'fej_slam_ros.core.{module}' for module in (
         'chi_square', 'consistency', 'estimates', 'frame_names', 'gauss_newton',
         'geometry', 'ground_truth', 'join_failure',
-        'models', 'motion_models', 'parameter_kinds', 'pieces', 'records', 'rejections',
-        'settings'))
+        'models', 'motion_models', 'parameter_kinds', 'pieces', 'point_consensus', 'records',
+        'rejections', 'settings'))
 )
 NO_SIDE_EFFECTS = (
     'builtins.open builtins.print io logging os pathlib socket subprocess '

@@ -9,8 +9,10 @@ all poses and landmarks is the joint map, in which duplicate landmarks are merge
 Joined robots then act as one map, so that any number of robots can be joined.
 """
 
-from collections.abc import Callable, Sequence
+from collections import Counter, defaultdict
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,13 +22,17 @@ from fej_slam_ros.core.csam.base_node import (
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.loop_closing import close_loops, with_measurements
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
+from fej_slam_ros.core.csam.outlier_removal import Outlier, without_landmarks
 from fej_slam_ros.core.csam.rendezvous import (
     DEFAULT_RULES, Failed, JoinRules, Measurements, MIN_PER_OUTLIER, outlier_report, Rendezvous,
     rendezvous_of, RendezvousMeasurement, RobotPair, TEST_TOLERANCE)
-from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
+from fej_slam_ros.core.csam.shared_landmarks import (
+    align_by_landmarks, LandmarkAlignment, outlying_landmarks, variance_factor)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.point_consensus import OUTLIER_D2
+from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Returns the information of a map about some of its poses (k,).
@@ -35,11 +41,20 @@ InformationOf = Callable[[JointMap, Indices], RendezvousInformation]
 ALIGNMENT_WINDOW = 50
 
 
+class JoinedMaps(NamedTuple):
+    """Result of joining maps."""
+
+    maps: list[JointMap]  #: each robot is in one of them
+    failures: list[JoinFailure]  #: rendezvous, or single observations, that were not used
+    #: observations by robot of landmarks that contradicted those of the other map
+    outliers: Mapping[str, Sequence[Outlier]]
+
+
 def join_maps(
     maps: Sequence[LocalMap], measurements: Measurements, rules: JoinRules = DEFAULT_RULES
-) -> tuple[list[JointMap], list[JoinFailure]]:
+) -> JoinedMaps:
     """
-    Return the maps after joining, each robot in one of them, and the failures.
+    Return the maps after joining.
 
     Parameters
     ----------
@@ -55,9 +70,16 @@ def join_maps(
     for (pair, session), _ in failed:
         pooled.setdefault(pair, []).extend(session)
     failed = joiner.apply([*pooled.items()])
-    return (
+    return JoinedMaps(
         [match_landmarks(group.solved()) for group in joiner.groups],
-        [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)])
+        [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)],
+        joiner.landmark_outliers)
+
+
+def _observations_of(joint: JointMap, keys: Mapping[LandmarkKey, float]) -> Counter[LandmarkKey]:
+    """Return the number of observations of some landmarks of a map."""
+    index, counts = joint.landmark_index(), np.bincount(joint.problem.landmarks.target)
+    return Counter({key: int(counts[index[key]]) for key in keys})
 
 
 def alignment_window(measurements: Measurements) -> Measurements:
@@ -91,6 +113,7 @@ class _TeamJoiner:
     ----------
     groups : the maps
     outliers : failures of single observations of rendezvous that were applied
+    landmark_outliers : landmark observations that were left out, by robot
 
     """
 
@@ -99,6 +122,7 @@ class _TeamJoiner:
     ) -> None:
         self.groups = [JointMap.of(local) for local in maps]
         self.outliers: list[JoinFailure] = []
+        self.landmark_outliers: defaultdict[str, list[Outlier]] = defaultdict(list)
         self._poses = {
             end for m in measurements
             for end in ((m.observer, m.pose), (m.observed, m.observed_pose))}
@@ -151,7 +175,7 @@ class _TeamJoiner:
                 self._contradiction(p, q, session, sessions)
                 or self._joined_by_rendezvous(p, q, session))
         else:
-            joined = self._solve(merged(p, q, aligned.base_node), [p, q], [])
+            joined = self._joined_by_landmarks(p, q, aligned)
         if isinstance(joined, JoinFailure):
             return joined
         self.groups = [joined if g is p else g for g in self.groups if g is not q]
@@ -161,6 +185,34 @@ class _TeamJoiner:
         if is_by_landmarks:
             loops.append(session)
         return None
+
+    def _joined_by_landmarks(
+        self, p: JointMap, q: JointMap, aligned: LandmarkAlignment
+    ) -> JointMap | JoinFailure:
+        """
+        Return the joined maps.
+
+        A few landmarks that contradict the others, as from misread IDs, are left out of the map
+        with fewer observations of them.
+
+        """
+        joined = self._solve(merged(p, q, aligned.base_node), [p, q], [])
+        d2 = outlying_landmarks(p, q, self._rules) if isinstance(joined, JoinFailure) else {}
+        if not d2:
+            return joined
+        by_p, by_q = (_observations_of(part, d2) for part in (p, q))
+        of_p = {key: d2[key] for key in d2 if by_p[key] < by_q[key]}
+        of_q = {key: d2[key] for key in d2 if key not in of_p}
+        p, outliers_p = without_landmarks(p, of_p, OUTLIER_D2)
+        q, outliers_q = without_landmarks(q, of_q, OUTLIER_D2)
+        without = align_by_landmarks(p, q, self._rules.min_shared)
+        if isinstance(without, JoinFailure):
+            return joined
+        again = self._solve(merged(p, q, without.base_node), [p, q], [])
+        if not isinstance(again, JoinFailure):
+            for robot, outliers in (outliers_p | outliers_q).items():
+                self.landmark_outliers[robot] += outliers
+        return again
 
     def _contradiction(
         self, p: JointMap, q: JointMap, session: Rendezvous, sessions: Sequence[Rendezvous]

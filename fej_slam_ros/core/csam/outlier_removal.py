@@ -7,13 +7,15 @@ Unlike a filter, a smoother tests an observation against all others. The limit i
 the given probability no correct observation of a whole run is removed.
 """
 
+from bisect import bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
 from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
-from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
@@ -73,6 +75,36 @@ def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, lis
     if len(outliers) > MAX_OUTLIER_FRACTION * count:
         return complete or _solved(local), []
     return kept, outliers
+
+
+def without_landmarks(
+    joint: JointMap, d2: Mapping[LandmarkKey, float], limit: float
+) -> tuple[JointMap, dict[str, list[Outlier]]]:
+    """
+    Return the minimum without some landmarks, and their observations as outliers of each robot.
+
+    Parameters
+    ----------
+    joint : map
+    d2 : squared Mahalanobis distance by which each landmark contradicts others, by a key
+    limit : what it exceeds
+
+    """
+    factors, index = joint.problem.landmarks, joint.landmark_index()
+    keys = {index[key]: key for key in d2}
+    is_kept = ~np.isin(np.arange(len(joint.landmarks)), [*keys])
+    rows = is_kept[factors.target]
+    firsts = [joint.first_poses[robot] for robot in joint.robots]
+    outliers: dict[str, list[Outlier]] = {robot: [] for robot in joint.robots}
+    for pose, target in zip(factors.pose[~rows].tolist(), factors.target[~rows].tolist()):
+        owner, key = bisect_right(firsts, pose) - 1, keys[target]
+        outliers[joint.robots[owner]].append(Outlier(pose - firsts[owner], key, d2[key], limit))
+    kept = rows_of(factors, np.flatnonzero(rows))
+    kept = replace(kept, target=(np.cumsum(is_kept) - 1)[kept.target])
+    return replace(
+        joint, problem=replace(joint.problem, landmarks=kept),
+        values=Values(joint.values.poses, joint.values.points[is_kept]),
+        landmarks=tuple(compress(joint.landmarks, is_kept))).solved(), outliers
 
 
 def _minimum(local: LocalMap, loss: CauchyLoss | None = None) -> LocalMap | None:

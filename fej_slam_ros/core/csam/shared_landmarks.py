@@ -1,9 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Alignment of two maps by the landmarks that both have, and the noise between maps."""
+"""
+Alignment of two maps by the landmarks that both have, and the noise between maps.
+
+A landmark that one robot has from misread IDs only contradicts the others.
+"""
 
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import islice
 from statistics import median_low
 from typing import NamedTuple
@@ -12,8 +16,11 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.csam.rendezvous import JoinRules
 from fej_slam_ros.core.geometry import Array, rigid_fit, rotation, transform
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
+from fej_slam_ros.core.records import LandmarkKey
 
 #: Largest heading sigma [rad] of an alignment; beyond it the iteration may start too far away.
 MAX_HEADING_SIGMA = 0.1
@@ -30,14 +37,15 @@ class LandmarkAlignment(NamedTuple):
     #: chi_square, dof: weighted squared distances of the landmarks, and degrees of freedom
     chi_square: float
     dof: int
+    P: Array  #: (3, 3) array, covariance of the base node
 
 
 def align_by_landmarks(
-    p: JointMap, q: JointMap, min_shared: int
+    p: JointMap, q: JointMap, min_shared: int, without: Collection[LandmarkKey] = ()
 ) -> LandmarkAlignment | JoinFailure:
-    """Return the base node that aligns the landmarks with a common key."""
+    """Return the base node that aligns the landmarks with a common key, but for some of them."""
     index_p, index_q = p.landmark_index(), q.landmark_index()
-    shared = sorted(index_p.keys() & index_q.keys())
+    shared = sorted((index_p.keys() & index_q.keys()).difference(without))
     if len(shared) < min_shared:
         return JoinFailure(f'{len(shared)} shared landmarks, {min_shared} are needed')
     in_p, in_q = [index_p[key] for key in shared], [index_q[key] for key in shared]
@@ -53,9 +61,40 @@ def align_by_landmarks(
             f' {heading_sigma:.2f} rad, {MAX_HEADING_SIGMA} is needed')
     base_node = rigid_fit(points_q, points_p, weights)
     for _ in range(ALIGNMENT_STEPS):
-        chi_square, step = _step(base_node, points_p, points_q, P_p, P_q)
+        chi_square, step, P = _step(base_node, points_p, points_q, P_p, P_q)
         base_node = base_node + step
-    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - 3)
+    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - 3, P)
+
+
+def outlying_landmarks(p: JointMap, q: JointMap, rules: JoinRules) -> dict[LandmarkKey, float]:
+    """
+    Return the shared landmarks that contradict the others, which fit, with their d2.
+
+    None are returned if these are too many to tell.
+
+    """
+    index_p, index_q = p.landmark_index(), q.landmark_index()
+    shared = sorted(index_p.keys() & index_q.keys())
+    points_p, points_q = (
+        of.values.points[[index[key] for key in shared]]
+        for of, index in ((p, index_p), (q, index_q)))
+    candidates = {shared[k]: k for k in farthest_points(points_p, points_q)}
+    aligned = align_by_landmarks(p, q, rules.min_shared, candidates)
+    if not candidates or isinstance(aligned, JoinFailure) or rules.inconsistency(
+            aligned.chi_square, aligned.dof):
+        return {}
+    d2 = {}
+    C = rotation(aligned.base_node[2])
+    for key, k in candidates.items():
+        moved = transform(aligned.base_node, points_q[k])
+        J = models.F(moved - aligned.base_node[:2])
+        P_p, P_q = (
+            of.information().joint(points=[index[key]])
+            for of, index in ((p, index_p), (q, index_q)))
+        r = points_p[k] - moved
+        d2[key] = float(r @ np.linalg.solve(P_p + C @ P_q @ C.T + J @ aligned.P @ J.T, r))
+    limit = rules.variance_factor * OUTLIER_D2
+    return {key: distance for key, distance in d2.items() if distance > limit}
 
 
 def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
@@ -94,12 +133,12 @@ def _pairs(count: int) -> Iterator[tuple[int, int]]:
 
 def _step(
     base_node: Array, points_p: Array, points_q: Array, P_p: Array, P_q: Array
-) -> tuple[float, Array]:
-    """Return chi-square at a base node, and the Gauss-Newton step (3,)."""
+) -> tuple[float, Array, Array]:
+    """Return chi-square at a base node, the Gauss-Newton step (3,) and its covariance (3, 3)."""
     C = np.kron(np.eye(len(points_q)), rotation(base_node[2]))
     moved = transform(base_node, points_q)
     r = (points_p - moved).ravel()
     J = np.vstack([models.F(d) for d in moved - base_node[:2]])
     weighted = np.linalg.solve(P_p + C @ P_q @ C.T, np.column_stack([r, J]))
-    step = np.linalg.solve(J.T @ weighted[:, 1:], J.T @ weighted[:, 0])
-    return float(r @ weighted[:, 0]), step
+    P = np.linalg.inv(J.T @ weighted[:, 1:])
+    return float(r @ weighted[:, 0]), P @ (J.T @ weighted[:, 0]), P

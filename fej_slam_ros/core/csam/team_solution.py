@@ -108,17 +108,19 @@ def solve(task: SmoothingTask) -> TeamMap:
     names = [local.robot for local in local_maps]
     measurements = [m for m in task.measurements if {m.observer, m.observed} <= {*names}]
     try:
-        joint_maps, not_joined = join_maps(local_maps, measurements, task.rules)
+        joined = join_maps(local_maps, measurements, task.rules)
     except NoMinimumError as error:
         return TeamMap(unsolved=unsolved | dict.fromkeys(names, str(error)))
     keys = {local.robot: local.landmarks for local in local_maps}
     maps = []
-    for joint in joint_maps:
+    for robot, left_out in joined.outliers.items():
+        outliers[robot] = [*outliers[robot], *left_out]
+    for joint in joined.maps:
         try:
             maps.append(_in_map_frame(_smoothed(joint, keys), task))
         except NoMinimumError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
-    return TeamMap(tuple(maps), tuple(not_joined), unsolved, outliers)
+    return TeamMap(tuple(maps), tuple(joined.failures), unsolved, outliers)
 
 
 def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:

@@ -28,9 +28,10 @@ from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables,
     Variables)
-from fej_slam_ros.core.joining.outlying_landmarks import OUTLIER_D2, outlying_landmarks
+from fej_slam_ros.core.joining.outlying_landmarks import outlying_landmarks
 from fej_slam_ros.core.joining.rendezvous import marginalize
 from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
+from fej_slam_ros.core.point_consensus import OUTLIER_D2
 
 
 class MapJoiner:

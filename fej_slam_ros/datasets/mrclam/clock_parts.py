@@ -54,7 +54,7 @@ def odometry(commands: Series) -> Array:
 
 
 def positions(commands: Series, observations: Series) -> Array:
-    """Return the observed positions (n, 2) in the frame of odometry."""
+    """Return where the n observed subjects are in the frame of odometry, (n, 2)."""
     poses = poses_at(observations.stamps, commands.stamps, odometry(commands))
     r, bearing = observations.rows[:, 1], poses[:, 2] + observations.rows[:, 2]
     points: Array = poses[:, :2] + r[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
