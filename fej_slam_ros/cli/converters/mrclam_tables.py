@@ -5,7 +5,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from fej_slam_ros.datasets.mrclam import noise
+from fej_slam_ros.datasets.mrclam import noise, observation_errors
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.tables import text_table
@@ -50,9 +50,9 @@ def _speed_rows(data: MrclamSet, options: ConversionOptions) -> Iterator[tuple[s
 
 
 def _observation_rows(data: MrclamSet) -> Iterator[tuple[str, ...]]:
-    landmarks, robots = noise.observation_errors(data)
+    landmarks, robots = observation_errors.observation_errors(data)
     by_kind = {
-        kind: noise.observation_noise(errors)
+        kind: observation_errors.observation_noise(errors)
         for kind, errors in (('of landmarks', landmarks), ('of robots', robots))
         if not errors.outliers().all()}
     measured = by_kind.values()
@@ -65,7 +65,7 @@ def _observation_rows(data: MrclamSet) -> Iterator[tuple[str, ...]]:
         ('bearing mean [rad]', '.4f', 'bearing_mean'), ('bearing rms [rad]', '.4f', 'bearing_rms'),
     ):
         yield (label, *(format(getattr(m, field), form) for m in measured))
-    for low, high in noise.LAGS:
+    for low, high in observation_errors.LAGS:
         yield (
             f'correlation of range errors {low:g} to {high:g} s apart',
             *(f'{m.correlation[low, high]:.2f}' for m in measured))

@@ -15,8 +15,8 @@ from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, Noise, observations as observations_used)
 from fej_slam_ros.datasets.mrclam.files import read
 from fej_slam_ros.datasets.mrclam.noise import (
-    best_options, increments, is_measurable, measured_options, observation_errors,
-    observation_noise)
+    best_options, increments, is_measurable, measured_options)
+from fej_slam_ros.datasets.mrclam.observation_errors import observation_errors, observation_noise
 from fej_slam_ros.datasets.mrclam.series import Series
 from helpers.mrclam import LANDMARKS, write_set
 

@@ -1,0 +1,221 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Errors of an MRCLAM set's observations against its motion capture, and their statistics.
+
+Observations with errors above 0.75 m or 0.1 rad are outliers, which are excluded from the
+statistics.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields, replace
+import math
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at, wrap_all
+from fej_slam_ros.core.models import h
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, odometry, OFFSET_SIGMA
+from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
+from fej_slam_ros.datasets.mrclam.series import Series, Stamps
+
+#: Ground truth is interpolated over gaps up to this [ns].
+MAX_TRUTH_GAP = NS // 10
+#: Time [ns] from a sparse true pose within which odometry leads to observations: its error is
+#: small against that of a bearing.
+NEAR_TRUTH = NS // 4
+#: Range [m] and bearing errors [rad] above which an observation is an outlier.
+OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
+#: Lower bound of estimated sigmas, the resolution of the files: ranges in mm, bearings in mrad.
+MIN_SIGMA = 1e-3
+#: Time [s] over which bearing errors of a robot stay about the same.
+OFFSET_WINDOW = 60.0
+#: Lags [s] between which errors of one robot and one subject are correlated.
+LAGS = ((0.0, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservationErrors:
+    """Errors (n,) of observations, measured - true."""
+
+    #: Observer and subject of each observation.
+    observers: Array
+    subjects: Array
+    seconds: Array  #: Time of each observation [s]
+    true_ranges: Array  #: True distance [m]
+    #: Errors [m, rad].
+    ranges: Array
+    bearings: Array
+
+    def where(self, wanted: Flags) -> 'ObservationErrors':
+        """Return the selected errors."""
+        return ObservationErrors(*(getattr(self, part.name)[wanted] for part in fields(self)))
+
+    def outliers(self) -> Flags:
+        """Return which observations are outliers."""
+        return (np.abs(self.ranges) > OUTLIER_RANGE) | (np.abs(self.bearings) > OUTLIER_BEARING)
+
+
+@dataclass(frozen=True, slots=True)
+class ObservationNoise:
+    """Statistics of observation errors without outliers."""
+
+    #: Number of all observations, and of the outliers.
+    count: int
+    outliers: int
+    #: Statistics of the errors [m, rad].
+    range_sd: float
+    range_mean: float
+    bearing_sd: float
+    bearing_mean: float
+    range_growth: float  #: Root mean square of range errors per metre of range
+    bearing_rms: float  #: Root mean square of bearing errors [rad]
+    #: Correlation of range errors by interval of lags [s]; nan without pairs.
+    correlation: Mapping[tuple[float, float], float]
+
+
+def observation_errors(
+    data: MrclamSet, options: ConversionOptions | None = None
+) -> tuple[ObservationErrors, ObservationErrors]:
+    """
+    Return the errors of the observations of landmarks and of robots with ground truth.
+
+    With options, odometry leads from sparse true poses to observations within `NEAR_TRUTH`.
+
+    """
+    def poses_of(log: RobotLog, stamps: Stamps) -> tuple[Array, Flags]:
+        if options is None:
+            return true_poses(log.truth, stamps)
+        return _near_true_poses(log, options, stamps)
+
+    parts = [_errors_of(data, robot, poses_of) for robot in data.logs]
+    errors = ObservationErrors(*(np.concatenate(column) for column in zip(*parts)))
+    robots = np.isin(errors.subjects, ROBOT_SUBJECTS)
+    return errors.where(~robots), errors.where(robots)
+
+
+def bearing_offsets(
+    errors: ObservationErrors, least_sigma: float = 0.0
+) -> dict[int, tuple[float, float]]:
+    """
+    Return the mean bearing error of each robot, its camera's angle, with its sigma [rad].
+
+    Errors within `OFFSET_WINDOW` count as one, of at least a sigma where their spread is not well
+    known; the prior is `OFFSET_SIGMA`.
+
+    """
+    inliers = errors.where(~errors.outliers())
+    offsets = {}
+    for robot in np.unique(inliers.observers).astype(int).tolist():
+        own = inliers.where(inliers.observers == robot)
+        windows = (own.seconds // OFFSET_WINDOW).astype(int)
+        means = np.array([own.bearings[windows == k].mean() for k in np.unique(windows)])
+        if len(means) > 1:
+            variance = max(means.var(ddof=1), least_sigma ** 2) / len(means)
+            weight = OFFSET_SIGMA ** 2 / (OFFSET_SIGMA ** 2 + variance)
+            offsets[robot] = float(weight * means.mean()), float(np.sqrt(weight * variance))
+    return offsets
+
+
+def without_offsets(
+    errors: ObservationErrors, offsets: Mapping[int, tuple[float, float]]
+) -> ObservationErrors:
+    """Return the errors without the offsets of bearings by robot."""
+    own = np.array([offsets.get(int(robot), (0.0, 0.0))[0] for robot in errors.observers])
+    return replace(errors, bearings=errors.bearings - own)
+
+
+def observation_noise(errors: ObservationErrors) -> ObservationNoise:
+    """Return the statistics of errors; at least one must not be an outlier."""
+    outliers = errors.outliers()
+    inliers = errors.where(~outliers)
+    relative = inliers.ranges / inliers.true_ranges
+    return ObservationNoise(
+        len(outliers), int(outliers.sum()), float(inliers.ranges.std()),
+        float(inliers.ranges.mean()), float(inliers.bearings.std()),
+        float(inliers.bearings.mean()), rms(relative), rms(inliers.bearings),
+        _correlations(inliers, relative - relative.mean()))
+
+
+def true_poses(truth: Series, stamps: Stamps) -> tuple[Array, Flags]:
+    """Return poses (n, 3) interpolated in time, and at which stamps ground truth is known."""
+    if len(truth) < 2:
+        return np.zeros((len(stamps), 3)), np.zeros(len(stamps), dtype=bool)
+    after = np.searchsorted(truth.stamps, stamps).clip(1, len(truth) - 1)
+    t0, t1 = truth.stamps[after - 1], truth.stamps[after]
+    steps = truth.rows[after] - truth.rows[after - 1]
+    steps[:, 2] = wrap_all(steps[:, 2])
+    poses = truth.rows[after - 1] + ((stamps - t0) / (t1 - t0))[:, None] * steps
+    return poses, (t0 <= stamps) & (stamps <= t1) & (t1 - t0 <= MAX_TRUTH_GAP)
+
+
+def _near_true_poses(
+    log: RobotLog, options: ConversionOptions, stamps: Stamps
+) -> tuple[Array, Flags]:
+    """Return poses (n, 3) to which odometry leads from true poses, and where these are near."""
+    poses, known = np.zeros((len(stamps), 3)), np.zeros(len(stamps), dtype=bool)
+    if not len(log.truth):
+        return poses, known
+    odometry_stamps, driven = odometry(log, options)
+    after = np.searchsorted(log.truth.stamps, stamps)
+    either = np.column_stack([after - 1, after]).clip(0, len(log.truth) - 1)
+    gaps = np.abs(log.truth.stamps[either] - stamps[:, None])
+    nearest = either[np.arange(len(stamps)), gaps.argmin(axis=1)]
+    begins = log.truth.stamps[nearest]
+    known = (gaps.min(axis=1) <= NEAR_TRUTH) & (
+        np.minimum(begins, stamps) >= odometry_stamps[0]) & (
+        np.maximum(begins, stamps) <= odometry_stamps[-1])
+    starts, ends = (poses_at(of, odometry_stamps, driven) for of in (begins, stamps))
+    for k in np.flatnonzero(known):
+        poses[k] = compose(log.truth.rows[nearest[k]], between(starts[k], ends[k]))
+    return poses, known
+
+
+def _errors_of(
+    data: MrclamSet, robot: int, poses_of: Callable[[RobotLog, Stamps], tuple[Array, Flags]]
+) -> tuple[Array, ...]:
+    log = data.logs[robot]
+    stamps, (subjects, r, beta) = log.observations.stamps, log.observations.rows.T
+    poses, known = poses_of(log, stamps)
+    points = np.full((len(stamps), 2), np.nan)
+    for subject in np.unique(subjects).astype(int).tolist():
+        rows = subjects == subject
+        if subject in data.logs:
+            observed_poses, is_known = poses_of(data.logs[subject], stamps[rows])
+            points[rows] = np.where(is_known[:, None], observed_poses[:, :2], np.nan)
+        else:
+            points[rows] = data.landmarks.get(subject, np.full(2, np.nan))
+    x, y = h(poses, points).T
+    known &= np.isfinite(x)
+    columns = (
+        np.full(len(stamps), float(robot)), subjects, stamps / NS, np.hypot(x, y),
+        r - np.hypot(x, y), wrap_all(beta - np.arctan2(y, x)))
+    return tuple(column[known] for column in columns)
+
+
+def sigmas(errors: ObservationErrors) -> tuple[float, float]:
+    """Return standard deviations of ranges, per metre, and of bearings."""
+    noise = observation_noise(errors)
+    return max(noise.range_growth, MIN_SIGMA), max(noise.bearing_rms, MIN_SIGMA)
+
+
+def _correlations(errors: ObservationErrors, values: Array) -> dict[tuple[float, float], float]:
+    """Return the correlation of values of one robot and one subject, by lag."""
+    products: dict[tuple[float, float], list[Array]] = {lags: [] for lags in LAGS}
+    for observer, subject in np.unique(
+            np.column_stack([errors.observers, errors.subjects]), axis=0):
+        of_pair = (errors.observers == observer) & (errors.subjects == subject)
+        seconds, own = errors.seconds[of_pair], values[of_pair]
+        for (low, high), at_lag in products.items():
+            first, last = (np.searchsorted(seconds, seconds + lag, 'right') for lag in (low, high))
+            at_lag += [own[k] * own[a:b] for k, (a, b) in enumerate(zip(first, last))]
+    variance = float(np.square(values).mean()) or math.nan
+    pairs = {lags: np.concatenate(at_lag) for lags, at_lag in products.items()}
+    return {
+        lags: float(of.mean()) / variance if len(of) else math.nan for lags, of in pairs.items()}
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
