@@ -114,9 +114,9 @@ def _report(
 ) -> Iterator[str]:
     yield f'landmarks: {len(data.landmarks)}, from {data.landmark_file or "no file"}'
     if not noise.is_measurable(data):
-        yield (
-            'too few true poses to measure delay, scale and noise: they are those of set 6, or'
-            ' given by options')
+        what = 'delay and scale' if any(len(log.truth) for log in data.logs.values()) else (
+            'delay, scale and noise')
+        yield f'too few true poses to measure {what}: they are those of set 6, or given by options'
     # A start from true poses is never exact.
     if not any(settings.anchor_sigma):
         yield (

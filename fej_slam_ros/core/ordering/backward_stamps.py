@@ -20,8 +20,11 @@ from fej_slam_ros.core.records import NS
 Stamps = NDArray[np.int64]
 #: Steps back up to this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
-#: Share of the rows of a regular log that a time holds at least.
-MIN_DENSITY = 0.5
+#: Share of the rows of a regular log that a time holds at least, and at most if it holds some; a
+#: time that is passed twice holds two times as many.
+MIN_DENSITY, MAX_DENSITY, MIN_ROWS = 0.5, 1.5, 4
+#: Number of rows of the mean rate for the rate just before and after.
+NEARBY_ROWS = 20
 #: Number of changes between rows before and after a step back, sorted, above which these mix: a
 #: block that fills a gap makes three, and disorder at its ends a few more.
 MAX_CHANGES = 6
@@ -85,10 +88,23 @@ def _breaks(stamps: Stamps, step: float) -> list[int]:
 
 
 def _changes(stamps: Stamps, row: int, step: float) -> float:
-    """Return how often rows before and after a step back alternate; inf if they leave a gap."""
+    """
+    Return how often rows before and after a step back alternate.
+
+    That is inf if they leave a gap, and more than the most that is late if they are too dense.
+    """
     low, high = stamps[row], stamps[row - 1]
+    length = high - low
     between = np.flatnonzero((low < stamps) & (stamps < high))
-    if (len(between) + 1) * step < MIN_DENSITY * float(high - low):
+    of_rate = float(length) / step
+    if len(between) + 1 < MIN_DENSITY * of_rate:
         return np.inf
     in_order = between[np.argsort(stamps[between], kind='stable')]
-    return float(np.count_nonzero(np.diff(in_order < row)))
+    changes = float(np.count_nonzero(np.diff(in_order < row)))
+    # The rate of the log may change, so it is also compared with that just before and after.
+    nearby = max(float(length), NEARBY_ROWS * step)
+    before, after = (
+        np.count_nonzero((begin < stamps) & (stamps < begin + nearby)) * length / nearby
+        for begin in (low - nearby, high))
+    is_dense = len(between) >= max(MIN_ROWS, MAX_DENSITY * max(before, after, of_rate) - 1)
+    return max(changes, MAX_CHANGES + 1.0) if is_dense else changes

@@ -43,6 +43,24 @@ def test_rows_that_fill_a_gap_are_late(stamps):
     assert breaks(stamps) == []
 
 
+@pytest.mark.parametrize('when', [60, 100, 200])
+def test_rows_written_late_while_the_rate_is_high_are_no_break(when):
+    # Ten seconds at 50 Hz among a hundred at 8 Hz.
+    stamps = np.concatenate([
+        regular(0, 50_000, period=120), regular(50_000, 60_000), regular(60_000, 110_000, 120)])
+    fast = len(regular(0, 50_000, period=120)) + when
+    stamps[fast:fast + 20] = np.roll(stamps[fast:fast + 20], 10)
+
+    assert len(steps_back(stamps)) == 1
+    assert breaks(stamps) == []
+
+
+def test_a_clock_that_is_set_back_by_a_few_rows_is_a_break():
+    stamps = np.concatenate([regular(0, 80_000, 120), regular(79_500, 200_000, 120)])
+
+    assert breaks(stamps) == [len(regular(0, 80_000, 120))]
+
+
 @pytest.mark.parametrize('back', [200, 2000, 7000])
 def test_a_clock_that_is_set_back_is_a_break(back):
     stamps = np.concatenate([regular(0, 8000), regular(8000 - back, 20_000)])

@@ -143,6 +143,28 @@ def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
     np.testing.assert_allclose(used, before - offset, rtol=0.0, atol=1e-12)
 
 
+def test_with_sparse_true_poses_the_angle_of_a_camera_and_the_noise_are_measured(tmp_path):
+    sparse = synthetic_set(tmp_path / 'set', truth_seconds=4.0)
+    log = sparse.logs[1]
+    turned = replace(log.observations, rows=np.add(log.observations.rows, [0.0, 0.0, 0.03]))
+
+    options = best_options(
+        replace(sparse, logs={1: replace(log, observations=turned)}), DELAY, SCALE)
+
+    # One bearing with a standard deviation of 0.02 in each of 225 quarters of a second.
+    offset, sigma = options.bearing_offsets[1]
+    assert offset == pytest.approx(0.03, abs=0.006)
+    assert abs(offset - 0.03) < 3.0 * sigma < 0.02
+    assert (options.noise.range, options.noise.bearing) == pytest.approx(
+        (RANGE, BEARING), rel=0.15)
+    # The defaults are of odometry that turns away three times as fast; errors of position, which
+    # noise of the same kind in two directions makes, count as well.
+    factor = options.noise.heading[1] / Noise().heading[1]
+    assert factor == pytest.approx(HEADING / Noise().heading[1], rel=0.5)
+    assert options.noise.position == pytest.approx(
+        [factor * variance for variance in Noise().position])
+
+
 def test_exact_observations_have_the_resolution_of_the_files(tmp_path):
     still = [(100 + 0.02 * k, 0, 0) for k in range(3000)]
     noise = measured_options(read(write_set(tmp_path, {
