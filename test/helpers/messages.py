@@ -3,13 +3,14 @@
 """Readers of the messages for an alignment."""
 
 from dataclasses import replace
+import math
 
 import numpy as np
 from scipy.sparse import csc_array
 
 from fej_slam_ros.core.csam.base_node import RendezvousInformation, square_root_information
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
-from fej_slam_ros.core.csam.message_sizes import received_subset, unpacked
+from fej_slam_ros.core.geometry import upper_triangular
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.marginals import Information
@@ -17,7 +18,25 @@ from fej_slam_ros.core.smoothing.marginals import Information
 
 def received(form, message):
     """Return the content of a message, with the poses in the order of their indices."""
-    return received_subset(message) if form == 'subset' else READERS[form](unpacked(message))
+    return READERS[form](unpacked(message))
+
+
+def unpacked(message):
+    """Return the arrays of a message."""
+    arrays, at = [], 0
+    while at < len(message):
+        data = message.index(b'\n', at) + 1
+        dtype, *shape = message[at:data].decode().strip().split(',')
+        lengths = tuple(map(int, shape))
+        arrays.append(np.frombuffer(message, dtype, math.prod(lengths), data).reshape(lengths))
+        at = data + arrays[-1].nbytes
+    return arrays
+
+
+def read_subset(arrays):
+    (middle, start), origin, poses, packed = arrays
+    return RendezvousInformation(
+        poses, int(middle), int(start), origin, upper_triangular(packed))
 
 
 def read_log(arrays):
@@ -45,7 +64,7 @@ def read_map(arrays):
         poses[rows], middle, rows.tolist().index(0), origin, square_root_information(P))
 
 
-READERS = {'log': read_log, 'map': read_map}
+READERS = {'subset': read_subset, 'log': read_log, 'map': read_map}
 
 
 def symmetric(upper):

@@ -11,17 +11,15 @@ for a long one the log of all measurements is smaller. All forms lead to the sam
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.csam.base_node import RendezvousInformation
 from fej_slam_ros.core.csam.map_merging import alignment_window
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, RendezvousMeasurement
-from fej_slam_ros.core.geometry import Indices, upper_triangular
+from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.smoothing.least_squares import concatenated
 from fej_slam_ros.core.smoothing.marginals import Information
 
@@ -76,13 +74,6 @@ def smallest(by_form: Mapping[str, float]) -> str:
     return min(by_form, key=by_form.__getitem__)
 
 
-def received_subset(message: bytes) -> RendezvousInformation:
-    """Return the content of a ``subset`` message."""
-    (middle, start), origin, poses, packed = unpacked(message)
-    return RendezvousInformation(
-        poses, int(middle), int(start), origin, upper_triangular(packed))
-
-
 def _subset(
     local: JointMap, poses: Indices, information: Information | None = None
 ) -> Arrays:
@@ -122,16 +113,3 @@ def _packed(arrays: Arrays) -> bytes:
     return b''.join(
         ','.join([array.dtype.str, *map(str, array.shape)]).encode() + b'\n' + array.tobytes()
         for array in arrays)
-
-
-def unpacked(message: bytes) -> Arrays:
-    """Return the arrays of a message."""
-    arrays: Arrays = []
-    at = 0
-    while at < len(message):
-        data = message.index(b'\n', at) + 1
-        dtype, *shape = message[at:data].decode().strip().split(',')
-        lengths = tuple(map(int, shape))
-        arrays.append(np.frombuffer(message, dtype, math.prod(lengths), data).reshape(lengths))
-        at = data + arrays[-1].nbytes
-    return arrays

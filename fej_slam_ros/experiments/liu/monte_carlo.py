@@ -13,6 +13,7 @@ import numpy as np
 
 from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
@@ -129,6 +130,8 @@ def _estimate(
             estimator.add(record)
     estimator.sequencer = _Ordered(settings, steps)
     results = list(estimator.close())
+    if any(pose.frame != MAP for result in results for pose in result.poses):
+        raise RuntimeError('a robot has left map, where all robots of [Liu] stay')
     poses = {
         name: _pose_errors(
             np.array([result.poses[i].pose for result in results]) - world.true_poses[name],
