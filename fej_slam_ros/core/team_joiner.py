@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from itertools import combinations
 
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
+from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.constellations import any_without_id, with_shared_landmarks
@@ -184,8 +185,15 @@ class TeamJoiner:
         else:
             for state in (group.state, other.state):
                 for key in failure.outlying_landmarks:
-                    state.remove(state.landmarks[key])
+                    self._remove_outlying(state, state.landmarks[key])
         return failure
+
+    def _remove_outlying(self, state: JointState, landmark: Landmark) -> None:
+        """Remove a landmark; a single observation that has started it is rejected."""
+        state.remove(landmark)
+        if not landmark.is_reobserved:
+            self._statistics.reject_observation(Rejection(
+                landmark.owner, landmark.created, RejectionReason.GATED, id=landmark.key[1]))
 
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group that has the same landmarks without ID."""

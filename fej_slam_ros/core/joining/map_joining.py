@@ -28,10 +28,15 @@ from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables,
     Variables)
-from fej_slam_ros.core.joining.outlying_landmarks import outlying_landmarks
+from fej_slam_ros.core.joining.outlying_landmarks import (
+    outlying_landmarks, unconfirmed_landmark)
 from fej_slam_ros.core.joining.rendezvous import marginalize
 from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
+
+
+#: Landmarks but one that was observed once may determine the heading less well by this factor.
+UNCONFIRMED_FACTOR = 2.0
 
 
 class MapJoiner:
@@ -57,7 +62,8 @@ class MapJoiner:
 
     def join(self, team: Filter, group: Filter) -> JoinFailure | None:
         """Join all variables of the group to the team; return the reason if that fails."""
-        landmarks = len(team.state.landmarks.keys() & group.state.landmarks.keys())
+        keys = team.state.landmarks.keys() & group.state.landmarks.keys()
+        landmarks = len(keys)
         points = len(team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
         shared = _counted(landmarks, 'shared landmark')
         if points:
@@ -68,16 +74,31 @@ class MapJoiner:
         if not determine_heading(team.state, local):
             return JoinFailure(f'{shared} are at one place, which determines no heading')
         found = fit(team.state, local)
+        failure = self._contradiction(team, local, found, shared, landmarks + points)
+        if failure is not None:
+            return failure
+        try:
+            team.state = joined(team.state, local, found.pose, team.linearization)
+        except EndedError:
+            return JoinFailure('the process ended before it could join')
+        for key in keys:
+            team.state.landmarks[key].is_reobserved = True
+        return None
+
+    def _contradiction(
+        self, team: Filter, local: JointState, found: FrameFit, shared: str, count: int
+    ) -> JoinFailure | None:
+        """Return why the fit of a number of shared variables, in words, joins no frames."""
         limit = float(chdtri(found.dof, self._tail))
         if found.chi2 > limit:
             outlying = outlying_landmarks(team.state, local, self._tail)
-            if outlying and landmarks + points - len(outlying) >= self._min_landmarks:
+            if outlying and count - len(outlying) >= self._min_landmarks:
                 return JoinFailure(
                     f'{len(outlying)} of {shared} contradict the others',
                     outlying_landmarks=outlying)
             worst, drop = found.worst_rendezvous_point()
             # The remaining ones must determine g.
-            is_outlier = drop > OUTLIER_D2 and landmarks + points > self._min_landmarks
+            is_outlier = drop > OUTLIER_D2 and count > self._min_landmarks
             return JoinFailure(
                 f'{shared} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}',
                 outlier=worst if is_outlier else None, d2=drop)
@@ -89,11 +110,8 @@ class MapJoiner:
             return JoinFailure(
                 f'{shared} determine the heading to {sigma:.2f} rad only, needs'
                 f' {self._max_heading_sigma}')
-        try:
-            team.state = joined(team.state, local, found.pose, team.linearization)
-        except EndedError:
-            return JoinFailure('the process ended before it could join')
-        return None
+        return unconfirmed_landmark(
+            team.state, local, UNCONFIRMED_FACTOR * self._max_heading_sigma)
 
     def apply_pose_prior(
         self, team: Filter, group: Filter, name: str, pose: Array, P: Array

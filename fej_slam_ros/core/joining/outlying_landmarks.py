@@ -11,10 +11,18 @@ import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core.ekf.state import JointState, Landmark
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables)
 from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
+
+#: Numbers of shared variables between which a single landmark may determine the heading alone; of
+#: fewer, none confirms another.
+MIN_CONFIRMING, MAX_DOUBTFUL = 3, 8
+#: Squared Mahalanobis distance above which these contradict one that was observed once: a correct
+#: one exceeds it with probability 1e-3, and is started again by the next observation.
+UNCONFIRMED_D2 = float(chdtri(2, 1e-3))
 
 
 def outlying_landmarks(
@@ -51,3 +59,34 @@ def _squared_distance(
     S = team.marginal([our]) + C @ group.marginal([their]) @ C.T + D @ found.P @ D.T
     r = difference(x, at, [our])
     return float(r @ np.linalg.solve(S, r))
+
+
+def unconfirmed_landmark(
+    team: JointState, group: JointState, max_heading_sigma: float
+) -> JoinFailure | None:
+    """
+    Return a failure if a shared landmark that either frame observed only once decides the join.
+
+    Its ID may be misread. It decides alone if the others determine the heading with a larger
+    standard deviation than the given one [rad], and is an outlier if they contradict it.
+
+    """
+    ours, theirs = shared_variables(team, group)
+    if not MIN_CONFIRMING <= len(ours) <= MAX_DOUBTFUL:
+        return None
+    worst, largest = None, UNCONFIRMED_D2
+    for our, their in zip(ours, theirs):
+        if not isinstance(our, Landmark) or not isinstance(their, Landmark) or (
+                our.is_reobserved and their.is_reobserved):
+            continue
+        found = fit(team, group, {our.key}) if determine_heading(
+            team, group, {our.key}) else None
+        if found is None or found.heading_sigma() > max_heading_sigma:
+            return JoinFailure(
+                f'landmark {our.key[1]}, which was observed once, determines the heading alone')
+        d2 = _squared_distance(found, team, group, our, their)
+        if d2 > largest:
+            worst, largest = our.key, d2
+    return worst and JoinFailure(
+        f'landmark {worst[1]}, which was observed once, contradicts the others',
+        outlying_landmarks=(worst,))

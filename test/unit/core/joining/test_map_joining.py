@@ -289,6 +289,48 @@ def test_of_fewer_landmarks_none_is_left_out(shared, moved, least):
     assert 'do not fit' in told.reason
 
 
+def reobserve(states, number):
+    """Let both states know that a second observation has confirmed a landmark."""
+    for state in states:
+        state.landmarks['', number].is_reobserved = True
+
+
+def test_a_landmark_that_was_observed_once_does_not_determine_the_heading_alone():
+    team, group, g = two_maps(shared=1)
+    # The robots met twice at one place.
+    for stamp, place in enumerate(([2.0, 1.0], [2.1, 1.1])):
+        key = RendezvousKey('r1', 'r2', stamp)
+        for state, name, point in (
+            (team, 'r1', np.array(place)), (group, 'r2', turn(g[2]).T @ (place - g[:2]))):
+            state.augment_rendezvous_point(
+                key, state.robots[name], point, np.zeros((2, 3)), 0.01 * np.eye(2))
+    filters = [Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)]
+
+    told = MapJoiner(3, 0.999).join(*filters)
+
+    assert told == JoinFailure('landmark 0, which was observed once, determines the heading alone')
+    reobserve((team, group), 0)
+    assert MapJoiner(3, 0.999).join(*filters) is None
+
+
+def test_a_landmark_that_was_observed_once_and_contradicts_the_others_is_left_out():
+    team, group, _ = two_maps(shared=6)
+    group.x_hat[group.landmarks['', 0].slot.indices] += 0.6
+    filters = [Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)]
+    # All six landmarks together pass.
+    joiner = MapJoiner(3, 1.0 - 1e-15)
+
+    told = joiner.join(*filters)
+
+    assert told == JoinFailure(
+        'landmark 0, which was observed once, contradicts the others',
+        outlying_landmarks=(('', 0),))
+    reobserve((team, group), 0)
+    assert joiner.join(*filters) is None
+    # It is known to both maps now.
+    assert all(filters[0].state.landmarks['', k].is_reobserved for k in range(6))
+
+
 def test_maps_that_barely_tell_the_heading_stay_apart():
     team, group, _ = two_maps(noise=4.0, shared=2)
     into = Filter(team, FirstEstimates(), Gate(1.0))
