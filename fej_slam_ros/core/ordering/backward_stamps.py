@@ -28,6 +28,8 @@ NEARBY_ROWS = 20
 #: Number of changes between rows before and after a step back, sorted, above which these mix: a
 #: block that fills a gap makes three, and disorder at its ends a few more.
 MAX_CHANGES = 6
+#: Maximum number of parts into which a log is divided; more are disorder of another kind.
+MAX_PARTS = 100
 #: Longer steps, relative to the median one, are gaps and do not count for the rate.
 GAP_STEPS = 10.0
 #: Maximum number of periods between two rows of a regular log that follow each other.
@@ -73,38 +75,53 @@ def recorded_order(stamps: Stamps) -> Indices:
 
 
 def breaks(stamps: Stamps) -> list[int]:
-    """Return the rows at which a log continues with another clock, or another recording."""
-    return _breaks(stamps, period(stamps))
-
-
-def _breaks(stamps: Stamps, step: float) -> list[int]:
-    """Divide a log at the step back where its rows mix most, and both parts likewise."""
-    back = steps_back(stamps)
-    changes = [_changes(stamps, row, step) for row in back]
-    if max(changes, default=0.0) <= MAX_CHANGES:
-        return []
-    row = back[int(np.argmax(changes))]
-    return [*_breaks(stamps[:row], step), row, *(row + k for k in _breaks(stamps[row:], step))]
-
-
-def _changes(stamps: Stamps, row: int, step: float) -> float:
     """
-    Return how often rows before and after a step back alternate.
+    Return the rows at which a log continues with another clock, or another recording.
+
+    The log is divided at the step back where its rows mix most, then both parts likewise, but no
+    further than into `MAX_PARTS`.
+    """
+    step, found = period(stamps), list[int]()
+    parts = [(0, len(stamps))]
+    while parts and len(found) < MAX_PARTS - 1:
+        begin, end = parts.pop()
+        row = _break(stamps[begin:end], step)
+        if row:
+            found.append(begin + row)
+            parts += [(begin + row, end), (begin, begin + row)]
+    return sorted(found)
+
+
+def _break(stamps: Stamps, step: float) -> int:
+    """Return the row where rows before and after mix most, 0 if all are of one clock."""
+    back = steps_back(stamps)
+    if not back:
+        return 0
+    order = np.argsort(stamps, kind='stable')
+    changes = [_changes(stamps, row, order, step) for row in back]
+    worst = int(np.argmax(changes))
+    return back[worst] if changes[worst] > MAX_CHANGES else 0
+
+
+def _changes(stamps: Stamps, row: int, order: Indices, step: float) -> float:
+    """
+    Return how often rows before and after a step back alternate in the order of stamps.
 
     That is inf if they leave a gap, and more than the most that is late if they are too dense.
     """
-    low, high = stamps[row], stamps[row - 1]
-    length = high - low
-    between = np.flatnonzero((low < stamps) & (stamps < high))
-    of_rate = float(length) / step
-    if len(between) + 1 < MIN_DENSITY * of_rate:
+    def rows_between(low: float, high: float) -> Indices:
+        begin = np.searchsorted(stamps, low, 'right', sorter=order)
+        return order[begin:np.searchsorted(stamps, high, 'left', sorter=order)]
+
+    low, high = float(stamps[row]), float(stamps[row - 1])
+    length, between = high - low, rows_between(low, high)
+    if (len(between) + 1) * step < MIN_DENSITY * length:
         return np.inf
-    in_order = between[np.argsort(stamps[between], kind='stable')]
-    changes = float(np.count_nonzero(np.diff(in_order < row)))
+    changes = float(np.count_nonzero(np.diff(between < row)))
     # The rate of the log may change, so it is also compared with that just before and after.
-    nearby = max(float(length), NEARBY_ROWS * step)
-    before, after = (
-        np.count_nonzero((begin < stamps) & (stamps < begin + nearby)) * length / nearby
-        for begin in (low - nearby, high))
-    is_dense = len(between) >= max(MIN_ROWS, MAX_DENSITY * max(before, after, of_rate) - 1)
+    nearby = max(length, NEARBY_ROWS * step)
+    densest = max(length / step, *(
+        len(rows_between(begin, begin + nearby)) * length / nearby
+        for begin in (low - nearby, high)))
+    is_dense = len(between) >= max(MIN_ROWS, MAX_DENSITY * densest - 1.0)
     return max(changes, MAX_CHANGES + 1.0) if is_dense else changes

@@ -134,3 +134,13 @@ def test_the_rate_at_the_break_decides_where_it_changes():
 @pytest.mark.parametrize('stamps', [[], [5 * MS], [10 * MS, 0]])
 def test_logs_of_a_few_rows_are_in_order(stamps):
     assert breaks(np.array(stamps, np.int64)) == []
+
+
+def test_two_rows_whose_stamps_step_back_are_two_recordings():
+    assert breaks(np.array([5000 * MS, 0])) == [1]
+
+
+def test_a_log_in_no_order_is_divided_into_few_parts():
+    stamps = np.random.default_rng(1).permutation(regular(0, 400_000))
+
+    assert 10 < len(breaks(stamps)) < 100
