@@ -31,7 +31,6 @@ from fej_slam_ros.core.csam.shared_landmarks import (
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.marginals import Information
 
@@ -74,12 +73,6 @@ def join_maps(
         [match_landmarks(group.solved()) for group in joiner.groups],
         [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)],
         joiner.landmark_outliers)
-
-
-def _observations_of(joint: JointMap, keys: Mapping[LandmarkKey, float]) -> Counter[LandmarkKey]:
-    """Return the number of observations of some landmarks of a map."""
-    index, counts = joint.landmark_index(), np.bincount(joint.problem.landmarks.target)
-    return Counter({key: int(counts[index[key]]) for key in keys})
 
 
 def alignment_window(measurements: Measurements) -> Measurements:
@@ -203,8 +196,9 @@ class _TeamJoiner:
         by_p, by_q = (_observations_of(part, d2) for part in (p, q))
         of_p = {key: d2[key] for key in d2 if by_p[key] < by_q[key]}
         of_q = {key: d2[key] for key in d2 if key not in of_p}
-        p, outliers_p = without_landmarks(p, of_p, OUTLIER_D2)
-        q, outliers_q = without_landmarks(q, of_q, OUTLIER_D2)
+        limit = self._rules.landmark_limit()
+        p, outliers_p = without_landmarks(p, of_p, limit)
+        q, outliers_q = without_landmarks(q, of_q, limit)
         without = align_by_landmarks(p, q, self._rules.min_shared)
         if isinstance(without, JoinFailure):
             return joined
@@ -303,3 +297,10 @@ class _TeamJoiner:
         increase = solved.chi_square - sum(part.chi_square for part in parts)
         dof = solved.dof - sum(part.dof for part in parts)
         return self._rules.inconsistency(increase, dof) or solved
+
+
+def _observations_of(joint: JointMap, keys: Mapping[LandmarkKey, float]) -> Counter[LandmarkKey]:
+    """Return the number of observations of some landmarks of a map."""
+    index = joint.landmark_index()
+    counts = np.bincount(joint.problem.landmarks.target, minlength=len(joint.landmarks))
+    return Counter({key: int(counts[index[key]]) for key in keys})

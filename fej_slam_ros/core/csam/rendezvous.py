@@ -10,6 +10,7 @@ from fej_slam_ros.core.chi_square import chi_square_quantile
 from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import NS, RendezvousKey
 
 #: Observations per outlier that may be left out; with fewer, outliers cannot be identified.
@@ -66,6 +67,10 @@ class JoinRules:
     def limit(self, dof: int) -> float:
         """Return the largest chi-square of data that is accepted."""
         return self.variance_factor * chi_square_quantile(dof, self.probability)
+
+    def landmark_limit(self) -> float:
+        """Return the largest squared distance of a shared landmark from its place by the others."""
+        return self.variance_factor * OUTLIER_D2
 
     def inconsistency(self, chi_square: float, dof: int) -> JoinFailure | None:
         """Return a failure if chi-square exceeds its limit."""

@@ -19,7 +19,7 @@ from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import JoinRules
 from fej_slam_ros.core.geometry import Array, rigid_fit, rotation, transform
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
+from fej_slam_ros.core.point_consensus import farthest_points
 from fej_slam_ros.core.records import LandmarkKey
 
 #: Largest heading sigma [rad] of an alignment; beyond it the iteration may start too far away.
@@ -93,8 +93,7 @@ def outlying_landmarks(p: JointMap, q: JointMap, rules: JoinRules) -> dict[Landm
             for of, index in ((p, index_p), (q, index_q)))
         r = points_p[k] - moved
         d2[key] = float(r @ np.linalg.solve(P_p + C @ P_q @ C.T + J @ aligned.P @ J.T, r))
-    limit = rules.variance_factor * OUTLIER_D2
-    return {key: distance for key, distance in d2.items() if distance > limit}
+    return {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
 
 
 def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
