@@ -108,6 +108,8 @@ class Quarantine:
             return scan
         keys = [
             group.filter.landmark_key(robot, s.id) for part in parts for s in part.observations]
+        if not keys:
+            return scan
         landmarks = group.state.landmarks
         known = {key for key in keys if key in landmarks}
         statistics = ScanGateStatistics()

@@ -69,7 +69,7 @@ class JoinRules:
         return self.variance_factor * chi_square_quantile(dof, self.probability)
 
     def landmark_limit(self) -> float:
-        """Return the largest squared distance of a shared landmark from its place by the others."""
+        """Return the largest squared distance of a shared landmark from where others put it."""
         return self.variance_factor * OUTLIER_D2
 
     def inconsistency(self, chi_square: float, dof: int) -> JoinFailure | None:

@@ -77,6 +77,12 @@ def test_a_suspected_robot_on_unknown_ground_maps_again_after_ten_scans(known):
     np.testing.assert_allclose(positions[9], NEW[1], atol=0.2)
 
 
+def test_scans_of_nothing_do_not_end_a_suspicion():
+    estimator, _ = estimate(standing([*[VIEW] * 5, SHIFTED, *[[]] * 20]))
+
+    assert estimator.innovations.lost_robots.is_suspected('r2')
+
+
 def test_robot_observations_of_a_robot_that_may_be_lost_are_rejected():
     # Too few landmarks to tell whether it is found.
     few = SHIFTED[:2]
