@@ -198,10 +198,9 @@ class TeamSmoother:
     def count_outliers(self) -> None:
         """Count the outliers of the final solution as rejected observations."""
         for name, outliers in self.solution.outliers.items():
-            self.statistics.observations_used[name] -= len(outliers)
             for outlier in outliers:
                 _, id_ = outlier.landmark
-                self.statistics.reject(Rejection(
+                self.statistics.reject_observation(Rejection(
                     name, self.trajectories[name].stamps[outlier.pose], RejectionReason.GATED,
                     id_, outlier.d2, outlier.limit))
 
