@@ -8,8 +8,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam.outlier_removal import without_outliers
 from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.csam.outlier_removal import without_outliers
 from fej_slam_ros.core.geometry import between, compose, transform
 from fej_slam_ros.core.smoothing.least_squares import (
     LandmarkFactors, OdometryFactors, Problem, solve, Values)

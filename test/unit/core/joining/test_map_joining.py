@@ -300,8 +300,8 @@ def test_a_landmark_that_was_observed_once_does_not_determine_the_heading_alone(
     # The robots met twice at one place.
     for stamp, place in enumerate(([2.0, 1.0], [2.1, 1.1])):
         key = RendezvousKey('r1', 'r2', stamp)
-        for state, name, point in (
-            (team, 'r1', np.array(place)), (group, 'r2', turn(g[2]).T @ (place - g[:2]))):
+        of_group = turn(g[2]).T @ (place - g[:2])
+        for state, name, point in ((team, 'r1', np.array(place)), (group, 'r2', of_group)):
             state.augment_rendezvous_point(
                 key, state.robots[name], point, np.zeros((2, 3)), 0.01 * np.eye(2))
     filters = [Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)]
