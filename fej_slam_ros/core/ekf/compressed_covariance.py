@@ -28,7 +28,7 @@ from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, Flags, Indices
-from fej_slam_ros.core.pieces import pause, product
+from fej_slam_ros.core.pieces import pause, PIECE_ELEMENTS, product, ranges
 
 #: Flops of leaving a submap that take as long as one flop of an update: products of large matrices
 #: are faster than the update of a small one, which also has costs beside its flops.
@@ -114,8 +114,8 @@ class CompressedCovariance:
         P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
         P_lA, k, b = self._prior_cross(states), core.dimension, len(states)
         x_hat[states] += P_lA @ self._theta
-        cross = P_lA @ core.columns(self._proxies)[:k].T
-        P_l = P.at(states[:, None], states) + cross[:, self._proxies] @ P_lA.T
+        cross = product(P_lA, core.columns(self._proxies)[:k].T)
+        P_l = P.at(states[:, None], states) + product(cross[:, self._proxies], P_lA.T)
         start, I_b = core.append(2 * b), np.eye(b)
         entered, proxies = np.arange(start, start + b), np.arange(start + b, start + 2 * b)
         core.lower[start:start + b, :k] = cross
@@ -224,25 +224,27 @@ class CompressedCovariance:
         core, P = self._core_index[members], self._core.matrix
         P.settle()
         P_BA = np.zeros((len(self._whole.matrix.lower), len(self._proxies)), order='F')
-        P_BA[:len(self._P_lA)] = self._P_lA[:, :len(self._proxies)]
-        pause()
+        for part in ranges(len(self._proxies), PIECE_ELEMENTS / n):
+            P_BA[:len(self._P_lA), part] = self._P_lA[:, part]
+        W = product(self._root_of_Psi().T, P_BA.T, may_end).T  # 2 n a p, in Fortran order
         Phi = P.at(core[:, None], self._proxies)
-        minus_Psi = P.at(self._proxies[:, None], self._proxies)
-        L, pivots, rank, _ = dpstrf(-minus_Psi, lower=1)  # a^3 / 3, pivoted
-        pause()
-        root = np.zeros((len(L), rank))
-        root[pivots - 1] = np.tril(L)[:, :rank]
-        W = product(P_BA, root, may_end)  # 2 n a p
-        pause()
         P_A, dx = product(P_BA, Phi.T, may_end), P_BA[:n] @ self._theta  # 2 n a (members)
         W[members] = dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
         pause()
-        W = np.asfortranarray(W)
-        pause()
         self._whole.matrix.subtract_product(W)  # P_BB - W W^T: p n^2
         self._whole.matrix.replace_columns(members, P_A)
         return self._whole, x_hat + dx
+
+    def _root_of_Psi(self) -> Array:
+        """Return L (a, p) of rank p with L L^T = Psi, for a^3 / 3 flops."""
+        Psi = -self._core.matrix.at(self._proxies[:, None], self._proxies)
+        pause()
+        L, pivots, rank, _ = dpstrf(Psi, lower=1)
+        pause()
+        root = np.zeros((len(L), rank))
+        root[pivots - 1] = np.tril(L)[:, :rank]
+        return root
 
     def _many_blocks(self, indices: Indices, outside: Flags) -> Array:
         """Return `blocks` of groups that are all outside or inside: P_BB(0) - P_BA Psi P_AB."""

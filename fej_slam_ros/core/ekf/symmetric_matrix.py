@@ -94,7 +94,7 @@ class SymmetricMatrix:
 
     def at(self, i: Indices, j: Indices) -> Array:
         """Return the elements in rows i and columns j, which broadcast."""
-        P: Array = self._lower[np.maximum(i, j), np.minimum(i, j)]
+        P = self._elements(i, j)
         for start, (Phi, _) in self._propagated.items():
             of_i, of_j = (
                 np.broadcast_to((start <= k) & (k < start + len(Phi)), P.shape) for k in (i, j))
@@ -128,10 +128,10 @@ class SymmetricMatrix:
     def submatrix(self, indices: Indices) -> Array:
         """Return the elements in rows and columns of the indices, symmetric."""
         if not self._propagated:
-            return self._submatrix(indices)
+            return self._elements(indices[:, None], indices)
         propagated = [start + np.arange(len(Phi)) for start, (Phi, _) in self._propagated.items()]
         states = np.unique(np.concatenate([indices, *propagated]))
-        P = self._submatrix(states)
+        P = self._elements(states[:, None], states)
         for start, (Phi, block) in self._propagated.items():
             first = int(np.searchsorted(states, start))
             own = slice(first, first + len(Phi))
@@ -142,13 +142,17 @@ class SymmetricMatrix:
         chosen: Array = P[places[:, None], places]
         return chosen
 
-    def _submatrix(self, indices: Indices) -> Array:
-        """Return the same without the propagations."""
-        k = len(indices)
-        elements = np.empty((k, k))
-        for part in ranges(k, PIECE_ELEMENTS / max(k, 1)):
-            i, j = indices[part, None], indices
-            elements[part] = self._lower[np.maximum(i, j), np.minimum(i, j)]
+    def _elements(self, i: Indices, j: Indices) -> Array:
+        """Return the elements in rows i and columns j, without the propagations."""
+        elements: Array
+        if i.size * j.size <= PIECE_ELEMENTS:
+            elements = self._lower[np.maximum(i, j), np.minimum(i, j)]
+            return elements
+        i, j = np.broadcast_arrays(i, j)
+        elements = np.empty(i.shape)
+        for part in ranges(len(i), PIECE_ELEMENTS / i[0].size):
+            elements[part] = self._lower[
+                np.maximum(i[part], j[part]), np.minimum(i[part], j[part])]
         return elements
 
     def columns(self, indices: Indices) -> Array:
@@ -158,9 +162,10 @@ class SymmetricMatrix:
     def replace_columns(self, indices: Indices, full: Array) -> None:
         """Replace columns, and the rows of the same indices, by columns (capacity, k)."""
         self.settle()
-        for k, j in enumerate(indices.tolist()):
-            self._lower[j:, j] = full[j:, k]
-            self._lower[j, :j] = full[:j, k]
+        for part in ranges(len(indices), PIECE_ELEMENTS / len(full)):
+            for k, j in zip(range(part.start, part.stop), indices[part].tolist()):
+                self._lower[j:, j] = full[j:, k]
+                self._lower[j, :j] = full[:j, k]
 
     def subtract_product(self, W: Array) -> None:
         """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
