@@ -7,11 +7,10 @@ Systematic errors of the odometry of each robot, odometry_scale and odometry_tur
 estimated from ground truth over 5 s, or else from landmarks that are observed again within 3 s.
 
 The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
-robot_noise_scale. With ground truth they are estimated from the errors of observations, and of
-odometry over 5 s; a robot with enough data has its own scale. The other scales are
-maximum-likelihood estimates from the innovations of the estimator without a gate, the same for all
-robots. Gross errors, beyond a chi-square probability of 0.999999, and observations without IDs are
-ignored.
+robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of
+observations; a robot with enough data has its own scale. The other scales are maximum-likelihood
+estimates from the innovations of the estimator without a gate, the same for all robots. Gross
+errors, beyond a chi-square probability of 0.999999, and observations without IDs are ignored.
 """
 
 import argparse
@@ -30,7 +29,7 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
-    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, ODOMETRY_WINDOW)
+    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, WINDOW)
 from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, MAX_ERROR, OdometryErrors)
 from fej_slam_ros.core.ground_truth import RecordedTruth
@@ -177,7 +176,7 @@ def _estimate(
     if arguments.source == 'truth' and not errors:
         raise UserError(
             f'{arguments.bag} has no ground truth that covers an observation or'
-            f' {ODOMETRY_WINDOW / NS:g} s of odometry: leave out --from truth')
+            f' {WINDOW / NS:g} s of odometry: leave out --from truth')
     estimates = {
         kind: ScaleEstimate('truth', noise_scales(samples, DOF[kind]))
         for kind, samples in errors.items()}

@@ -3,15 +3,19 @@
 """
 Noise scale factors from errors against ground truth.
 
-Odometry errors are those of the relative pose over a window: errors of wheels and gyros are
-correlated over more than one message, so that single increments would give too small a factor.
+Errors are those over a window: of odometry, of the relative pose; of observations, the sum of the
+errors with which a robot observes one landmark or robot. Errors of wheels, gyros and detectors
+persist for longer than a message, so that single ones would give too small a factor.
 """
 
 from bisect import bisect_left
+from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 import math
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtr, chdtri
@@ -22,14 +26,14 @@ from fej_slam_ros.core.geometry import Array, between, compose, interpolated
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
-    NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
+    NS, Observation, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import NoiseSettings, Settings
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
 DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 
-#: Length [ns] of the window of an odometry error, and the longest one between sparse true poses.
-ODOMETRY_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
+#: Length [ns] of the window of an error, and the longest one between sparse true poses.
+WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
 
 #: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
 #: against that of an observation.
@@ -70,12 +74,17 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
 
     """
     d2 = np.array(squared)
-    limit = chdtri(dof, OUTLIER_PROBABILITY)
+    limit = _outlier_limit(dof)
     truncated_mean = dof * chdtr(dof + 2, limit) / chdtr(dof, limit)
     variance, kept = float(np.median(d2)) / chdtri(dof, 0.5), 0
     while (count := int((d2 <= limit * variance).sum())) > kept:
         variance, kept = float(d2[d2 <= limit * variance].mean()) / truncated_mean, count
     return NoiseScale(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
+
+
+def _outlier_limit(dof: int) -> float:
+    """Return the normalised error squared of noise of scale 1 beyond which it is an outlier."""
+    return float(chdtri(dof, OUTLIER_PROBABILITY))
 
 
 def noise_scales(errors: Errors, dof: int) -> dict[str, NoiseScale]:
@@ -108,13 +117,16 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     for robot in settings.robots:
         odometry = sorted(
             (r for r in records if isinstance(r, Odometry) and r.robot == robot.name),
-            key=lambda record: record.stamp)
+            key=attrgetter('stamp'))
         errors['odometry'][robot.name] += _odometry_errors(odometry, truth, robot)
         near[robot.name] = NearTruth(truth, robot.name, odometry)
-    for scan in records:
-        if isinstance(scan, (Scan, RobotScan)) and scan.robot in near:
-            kind = 'robot' if isinstance(scan, RobotScan) else 'landmark'
-            errors[kind][scan.robot] += _observation_errors(scan, truth, near)
+    for kind, of_kind in (('landmark', Scan), ('robot', RobotScan)):
+        for name in near:
+            scans = sorted(
+                (r for r in records if isinstance(r, of_kind) and r.robot == name),
+                key=attrgetter('stamp'))
+            single = [error for s in scans for error in _observation_errors(s, truth, near)]
+            errors[kind][name] += _in_windows(single)
     return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 
 
@@ -132,7 +144,7 @@ def _odometry_errors(
         G = models.G(x[2])
         Phi = models.Phi(G[:2, :2] @ u[:2])
         x, P = compose(x, u), Phi @ P @ Phi.T + G @ Q @ G.T
-        if later.stamp - begin.stamp >= ODOMETRY_WINDOW and truth.covers(
+        if later.stamp - begin.stamp >= WINDOW and truth.covers(
                 later.robot, later.stamp):
             if is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
@@ -173,16 +185,49 @@ class NearTruth:
         return interpolated(earlier.pose, later.pose, fraction)
 
 
+class ObservationError(NamedTuple):
+    """Error of an observation of a landmark or robot, in the robot's frame."""
+
+    observed: int | str  #: ID or name
+    stamp: int  #: [ns]
+    e: Array  #: (2,) [m]
+    R: Array  #: stated covariance (2, 2) [m^2]
+
+
 def _observation_errors(
     scan: Scan | RobotScan, truth: RecordedTruth, near: Mapping[str, NearTruth]
-) -> Iterator[float]:
-    """Yield the normalised error squared of each observation whose true position is known."""
+) -> Iterator[ObservationError]:
+    """Yield the error of each observation whose true position is known."""
     pose = near[scan.robot].pose(scan.stamp)
     if pose is None:
         return
     for o in scan.observations:
-        point = truth.landmarks.get(o.id) if isinstance(o, Observation) else None
-        if isinstance(o, RobotObservation) and o.observed in near:
-            point = near[o.observed].pose(scan.stamp)
+        observed: int | str
+        if isinstance(o, Observation):
+            observed, point = o.id, truth.landmarks.get(o.id)
+        else:
+            observed = o.observed
+            point = near[observed].pose(scan.stamp) if observed in near else None
         if point is not None:
-            yield float(nees(o.z - models.h(pose[None], point[None, :2])[0], o.R))
+            e = o.z - models.h(pose[None], point[None, :2])[0]
+            yield ObservationError(observed, scan.stamp, e, o.R)
+
+
+def _in_windows(errors: Sequence[ObservationError]) -> Iterator[float]:
+    """Yield the sum of the errors of each window, normalised and squared, without outliers."""
+    if not errors:
+        return
+    squared = [float(nees(error.e, error.R)) for error in errors]
+    limit = _outlier_limit(2) * noise_scale(squared, 2).scale ** 2
+    windows: dict[int | str, list[list[ObservationError]]] = defaultdict(list)
+    for error, d2 in zip(errors, squared):
+        if d2 > limit:
+            continue
+        of_observed = windows[error.observed]
+        if not of_observed or error.stamp - of_observed[-1][0].stamp >= WINDOW:
+            of_observed.append([])
+        of_observed[-1].append(error)
+    for window in chain.from_iterable(windows.values()):
+        e = np.sum([error.e for error in window], axis=0)
+        R = np.sum([error.R for error in window], axis=0)
+        yield float(nees(e, R))

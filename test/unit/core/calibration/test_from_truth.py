@@ -127,6 +127,20 @@ def test_systematic_errors_count_in_full():
     assert errors == pytest.approx([50.0] * 12)
 
 
+def test_errors_of_observations_that_persist_count_in_full():
+    # Error of 0.1 m in x for 5 s, then in y, and so on, stated as independent errors of 0.1 m.
+    times = range(0, 60_000, 100)
+    truth = [true_pose('r1', ms, (0.0, 0.0, 0.0)) for ms in times]
+    shift = 0.1 * np.eye(2)
+    scans = [scan('r1', ms, [(1, [3.0, 4.0] + shift[ms // 5000 % 2])]) for ms in times]
+    landmarks = TrueLandmarks({1: np.array([3.0, 4.0])}, 0)
+
+    errors = normalized_errors([*truth, landmarks, *scans], team())
+
+    # 50 times 0.1 m in a window, against sqrt(50) times 0.1 m.
+    assert errors['landmark']['r1'] == pytest.approx([50.0] * 12)
+
+
 def test_ids_of_each_robot_give_no_landmark_errors():
     found = scales(simulated(1), shared_landmark_ids=False)
 
