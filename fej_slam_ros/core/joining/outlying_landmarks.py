@@ -7,7 +7,10 @@ A few of them must not keep two maps apart for ever. The pose of one map in the 
 without them by consensus, see :mod:`fej_slam_ros.core.point_consensus`.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
+from scipy.linalg import cho_solve
 from scipy.special import chdtri
 
 from fej_slam_ros.core.ekf.state import JointState, Landmark
@@ -45,20 +48,35 @@ def outlying_landmarks(
     found = fit(team, group, candidates)
     if found.chi2 > chdtri(found.dof, tail):
         return ()
+    keys = [ours[k].key for k in farthest]
     return tuple(
-        ours[k].key for k in farthest
-        if _squared_distance(found, team, group, ours[k], theirs[k]) > OUTLIER_D2)
+        key for key, d2 in zip(keys, _increases_of_chi2(found, team, group, keys))
+        if d2 > OUTLIER_D2)
 
 
-def _squared_distance(
-    found: FrameFit, team: JointState, group: JointState, our: Landmark, their: Landmark
-) -> float:
-    """Return the squared Mahalanobis distance of two estimates of a landmark left out of a fit."""
-    x, at = team.estimate(our), carried(found.pose, group.estimate(their), [our])
-    C, D = derivatives(found.pose, at, [our])
-    S = team.marginal([our]) + C @ group.marginal([their]) @ C.T + D @ found.P @ D.T
-    r = difference(x, at, [our])
-    return float(r @ np.linalg.solve(S, r))
+def _increases_of_chi2(
+    found: FrameFit, team: JointState, group: JointState, left_out: Sequence[LandmarkKey]
+) -> list[float]:
+    """
+    Return by how much the chi2 of a fit increases with each landmark that it left out.
+
+    It is the squared Mahalanobis distance of a landmark's residual from the one that those of the
+    fit predict: all landmarks of a map share the errors of its robots.
+
+    """
+    ours, theirs = shared_variables(team, group, left_out)
+    ours += [team.landmarks[key] for key in left_out]
+    theirs += [group.landmarks[key] for key in left_out]
+    at = carried(found.pose, group.estimates_of(indices(theirs)), ours)
+    C, D = derivatives(found.pose, at, ours)
+    S = team.marginal(ours) + C @ group.marginal(theirs) @ C.T
+    r = difference(team.estimates_of(indices(ours)), at, ours)
+    of_fit, rest = slice(len(found.r)), slice(len(found.r), None)
+    K = cho_solve(found.S, S[of_fit, rest]).T
+    e, D_e = r[rest] - K @ found.r, D[rest] - K @ found.D
+    S_e = S[rest, rest] - K @ S[of_fit, rest] + D_e @ found.P @ D_e.T
+    pairs = (slice(start, start + 2) for start in range(0, len(e), 2))
+    return [float(e[own] @ np.linalg.solve(S_e[own, own], e[own])) for own in pairs]
 
 
 def unconfirmed_landmark(
@@ -84,7 +102,7 @@ def unconfirmed_landmark(
         if found is None or found.heading_sigma() > max_heading_sigma:
             return JoinFailure(
                 f'landmark {our.key[1]}, which was observed once, determines the heading alone')
-        d2 = _squared_distance(found, team, group, our, their)
+        (d2,) = _increases_of_chi2(found, team, group, [our.key])
         if d2 > largest:
             worst, largest = our.key, d2
     return worst and JoinFailure(

@@ -276,6 +276,23 @@ def test_a_fifth_of_the_shared_landmarks_may_contradict_the_others(shared, moved
     assert_allclose(into.state.estimate(into.state.robots['r2'])[:2], g[:2], atol=0.5)
 
 
+def test_errors_that_all_landmarks_share_hide_no_outlier():
+    team, group, _ = two_maps(shared=12)
+    wrong = ('', 3)
+    group.x_hat[group.landmarks[wrong].slot.indices] += [1.0, -1.0]
+    # The whole map of the team has drifted, by an unknown 10 m.
+    n = len(team.x_hat)
+    for axis in range(2):
+        drift = np.zeros(n)
+        drift[[variable.slot.start + axis for variable in team.variables()]] = 10.0
+        team.covariance.matrix.lower[:n, :n] += np.tril(np.outer(drift, drift))
+
+    told = MapJoiner(3, 0.999).join(*(
+        Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)))
+
+    assert told.outlying_landmarks == (wrong,)
+
+
 @pytest.mark.parametrize(('shared', 'moved', 'least'), [(4, 1, 3), (9, 2, 3), (5, 1, 5)])
 def test_of_fewer_landmarks_none_is_left_out(shared, moved, least):
     team, group, _ = two_maps(shared=shared)
@@ -315,7 +332,7 @@ def test_a_landmark_that_was_observed_once_does_not_determine_the_heading_alone(
 
 def test_a_landmark_that_was_observed_once_and_contradicts_the_others_is_left_out():
     team, group, _ = two_maps(shared=6)
-    group.x_hat[group.landmarks['', 0].slot.indices] += 0.6
+    group.x_hat[group.landmarks['', 3].slot.indices] += [-0.6, 0.0]
     filters = [Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)]
     # All six landmarks together pass.
     joiner = MapJoiner(3, 1.0 - 1e-15)
@@ -323,9 +340,9 @@ def test_a_landmark_that_was_observed_once_and_contradicts_the_others_is_left_ou
     told = joiner.join(*filters)
 
     assert told == JoinFailure(
-        'landmark 0, which was observed once, contradicts the others',
-        outlying_landmarks=(('', 0),))
-    reobserve((team, group), 0)
+        'landmark 3, which was observed once, contradicts the others',
+        outlying_landmarks=(('', 3),))
+    reobserve((team, group), 3)
     assert joiner.join(*filters) is None
     # It is known to both maps now.
     assert all(filters[0].state.landmarks['', k].is_reobserved for k in range(6))
