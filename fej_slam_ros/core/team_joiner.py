@@ -8,6 +8,7 @@ given for one of their robots. The joining of two frames is in :mod:`fej_slam_ro
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import combinations
 
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
@@ -160,7 +161,7 @@ class TeamJoiner:
             group = self._groups.of(robot)
             if group is self._groups.team:
                 reason = RejectionReason.ALREADY_LOCATED
-            elif self._joiner.apply_pose_prior(
+            elif not prior.is_too_uncertain() and self._joiner.apply_pose_prior(
                 self._groups.team.filter, group.filter, robot, prior.pose, prior.P
             ):
                 self._statistics.pose_priors_used[robot] += 1
@@ -209,6 +210,8 @@ class TeamJoiner:
             failure = self._joiner.join(group.filter, other.filter)
             if failure is not None:
                 other.filter.state = before
+                # Matches of landmarks without ID may be wrong, which is no reason to remove any.
+                failure = replace(failure, outlying_landmarks=())
         if failure is None:
             self._compared.pop(names, None)
         else:

@@ -10,7 +10,8 @@ from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import PosePrior, RendezvousKey, RobotObservation, RobotScan
+from fej_slam_ros.core.records import (
+    PosePrior, RendezvousKey, RobotObservation, RobotScan, UNKNOWN_POSE)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from helpers.core import turn
@@ -198,6 +199,15 @@ def test_a_pose_too_uncertain_to_linearise_restarts_its_robot_in_its_own_frame(j
 
     assert [group.frame for group in joining.groups if 'r1' in group.robots] == ['r1/map']
     assert joining.statistics.relocalized == {'r1': 1}
+
+
+def test_a_pose_too_uncertain_to_linearise_leaves_a_robot_outside_map(joining):
+    joining.joiner.pose_priors.add(PosePrior('r2', 7, G, UNKNOWN_POSE))
+
+    joining.joiner.apply_pose_priors('r2', 7)
+
+    assert joining.groups.of('r2').frame == 'r2/map'
+    assert joining.statistics.total(RejectionReason.DOES_NOT_FIT) == 1
 
 
 def test_a_pose_of_a_robot_that_joined_at_the_same_step_is_rejected(joining):
