@@ -335,8 +335,10 @@ class Estimator:
         """Record the statistics, moved landmarks and rejected observations of an update."""
         scans = innovation.scan_gate_statistics()
         self.innovations.add(stamp, innovation, scans)
-        update_trust(group.state, innovation, scans, stamp)
-        for started in remove_contradicted(group.state, innovation, scans):
+        for started in (
+            *update_trust(group.state, innovation, scans, stamp),
+            *remove_contradicted(group.state, innovation, scans),
+        ):
             self.statistics.reject_observation(started)
         MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scans)
         for inflated in innovation.inflated:

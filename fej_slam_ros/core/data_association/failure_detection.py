@@ -127,18 +127,23 @@ class LostRobotDetector:
     def _continue_probation(self, robot: str, scan: ScanGateStatistics) -> None:
         if scan.mostly_failed():
             self._probation[robot] = PROBATION
+        elif not scan.known or 2 * scan.failed > scan.known:
+            return
         elif self._probation[robot] > 1:
             self._probation[robot] -= 1
         else:
             del self._probation[robot]
 
 
-def update_trust(state: JointState, innovation: Innovation, scans: Scans, stamp: int) -> None:
+def update_trust(
+    state: JointState, innovation: Innovation, scans: Scans, stamp: int
+) -> list[Rejection]:
     """
     Trust the landmarks of scans that confirm the robot's pose; remove what other scans started.
 
     A robot that is not where it is estimated starts landmarks that fit its pose and nothing else.
-    They are not trusted, for they were never observed together with landmarks that are.
+    They are not trusted, for they were never observed together with landmarks that are. Returns
+    the observations that started what is removed as rejected.
 
     """
     confirmed = {name for name, scan in scans.items() if scan.confirms_pose()}
@@ -148,9 +153,13 @@ def update_trust(state: JointState, innovation: Innovation, scans: Scans, stamp:
             if a.observer.name in confirmed:
                 a.observed.is_trusted = True
     suspected = [name for name, scan in scans.items() if scan.mostly_failed()]
-    for landmark in [*state.landmarks.values()] if suspected else []:
-        if landmark.owner in suspected and landmark.created == stamp:
-            state.remove(landmark)
+    started = [
+        landmark for landmark in state.landmarks.values()
+        if landmark.owner in suspected and landmark.created == stamp] if suspected else []
+    state.remove_all(started)
+    return [
+        Rejection(landmark.owner, stamp, RejectionReason.LOST_ROBOT, id=landmark.key[1])
+        for landmark in started]
 
 
 def remove_contradicted(
@@ -178,9 +187,9 @@ def remove_contradicted(
 
 def remove_untrusted(state: JointState, robot: str) -> None:
     """Remove the landmarks that a lost robot has started and nothing confirms."""
-    for landmark in [*state.landmarks.values()]:
-        if landmark.owner == robot and not landmark.is_trusted:
-            state.remove(landmark)
+    state.remove_all([
+        landmark for landmark in state.landmarks.values()
+        if landmark.owner == robot and not landmark.is_trusted])
 
 
 def ignore(state: JointState, innovation: Innovation, scans: Scans) -> None:

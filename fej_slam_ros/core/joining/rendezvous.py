@@ -61,6 +61,5 @@ def marginalize(keys: Iterable[RendezvousKey], states: Iterable[JointState]) -> 
     """Marginalise rendezvous points out of the states that have them."""
     removed = [*keys]
     for state in states:
-        for key in removed:
-            if key in state.rendezvous_points:
-                state.remove(state.rendezvous_points[key])
+        state.remove_all([
+            state.rendezvous_points[key] for key in removed if key in state.rendezvous_points])

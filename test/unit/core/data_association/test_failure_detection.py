@@ -280,6 +280,9 @@ def test_a_robot_that_was_lost_is_on_probation_until_20_scans_in_a_row_fit():
         'r1': 'it was lost: 1 more scans must fit the map of its own frame'}
     add(4)
     add(0, 19)
+    # Neither of these fits: without known landmarks, and of too few to tell a wrong pose.
+    lost.add({'r1': ScanGateStatistics()})
+    lost.add({'r1': ScanGateStatistics(2, 2)})
     assert lost.on_probation()
     add(0)
 
