@@ -94,13 +94,15 @@ def breaks(stamps: Stamps) -> list[int]:
 
 def _break(stamps: Stamps, step: float) -> int:
     """Return the row where rows before and after mix most, 0 if all are of one clock."""
-    back = steps_back(stamps)
-    if not back:
-        return 0
-    order = np.argsort(stamps, kind='stable')
-    changes = [_changes(stamps, row, order, step) for row in back]
-    worst = int(np.argmax(changes))
-    return back[worst] if changes[worst] > MAX_CHANGES else 0
+    worst, most = 0, float(MAX_CHANGES)
+    back, order = steps_back(stamps), np.argsort(stamps, kind='stable')
+    for row in back:
+        changes = _changes(stamps, row, order, step)
+        if changes > most:
+            worst, most = row, changes
+        if most == np.inf:
+            break
+    return worst
 
 
 def _changes(stamps: Stamps, row: int, order: Indices, step: float) -> float:

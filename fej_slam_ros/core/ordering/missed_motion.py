@@ -13,7 +13,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap
 from fej_slam_ros.core.ordering.impossible_motion import (
     AT_ORIGIN, MAX_SPEED_RATIO, MIN_SPEED_BOUNDS)
-from fej_slam_ros.core.ordering.odometry_increments import scaled_increment
+from fej_slam_ros.core.ordering.odometry_increments import corrected, scaled_increment
 from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -33,7 +33,8 @@ def missed_motion(
     """
     Return the motion from the start to the first odometry, or the reason why it is unknown.
 
-    The motion u [m, m, rad] is in the frame of the base at the start.
+    The motion u [m, m, rad] is in the frame of the base at the start. Systematic errors of
+    odometry are corrected as of a straight path.
 
     Parameters
     ----------
@@ -48,9 +49,10 @@ def missed_motion(
     received = f'the first odometry received is {at}, after {missed} messages'
     increment = scaled_increment(first, second, robot)
     dt = (second.stamp - first.stamp) / NS
-    distance, turn = float(np.hypot(*first.pose[:2])), abs(wrap(float(first.pose[2])))
-    speed, turn_rate = float(np.hypot(*increment.u[:2])) / dt, abs(float(increment.u[2])) / dt
     duration = missed * dt
+    u = corrected(first.pose, duration, robot)
+    distance, turn = float(np.hypot(*u[:2])), abs(wrap(float(u[2])))
+    speed, turn_rate = float(np.hypot(*increment.u[:2])) / dt, abs(float(increment.u[2])) / dt
     fastest = np.maximum(MAX_SPEED_RATIO * np.array([speed, turn_rate]), MIN_SPEED_BOUNDS)
     if np.any([distance, turn] > duration * fastest + AT_ORIGIN):
         return f'{received}: too far from its origin for {duration:.1f} s'
@@ -58,8 +60,8 @@ def missed_motion(
     sigma = float(np.sqrt(noise[2, 2]))
     if sigma > MAX_HEADING_SIGMA:
         return f'{received}: its heading has a standard deviation of {sigma:.2f} rad'
-    P = _covariance(first.pose, noise, max(distance, speed * duration))
-    return Motion(first.robot, first.stamp, first.pose, P)
+    P = _covariance(u, noise, max(distance, speed * duration))
+    return Motion(first.robot, first.stamp, u, P)
 
 
 def _covariance(u: Array, noise: Array, length: float) -> Array:

@@ -94,6 +94,10 @@ class Sequencer:
             self._heard.pop(name, None)
             for record in self._left[name].leave():
                 self._reject(record, RejectionReason.LEFT)
+            # One that was ahead must not make the others count as silent.
+            self._newest = max((
+                newest for queue in self._queues.values()
+                if (newest := queue.odometry.newest) is not None), default=-sys.maxsize)
         self._queues = {
             robot.name: self._queues.get(robot.name) or self._left.pop(robot.name, None)
             or RobotQueue(robot, self._stale_after) for robot in robots}

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The motion before the first odometry received: its covariance, and when it is unknown."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,3 +100,13 @@ def test_the_motion_leads_from_the_origin_to_the_first_odometry():
     motion = heard_after(steps)
 
     np.testing.assert_allclose(motion.u, moved(steps), atol=1e-12)
+
+
+def test_the_motion_has_no_systematic_errors_of_odometry():
+    steps = np.tile([0.1, 0.0, 0.0], (MISSED, 1))
+    robot = replace(ROBOT, odometry_scale=(0.8, 1.0), odometry_turn_bias=-0.01)
+
+    motion = heard_after(steps, robot=robot)
+
+    # 0.1 s for each of the missed messages.
+    np.testing.assert_allclose(motion.u, [0.08 * MISSED, 0.0, 0.001 * MISSED], atol=1e-12)
