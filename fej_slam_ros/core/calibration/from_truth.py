@@ -136,6 +136,9 @@ def _odometry_errors(
     """Yield the normalised error squared of each window between known true poses."""
     begin, x, P = None, np.zeros(3), np.zeros((3, 3))
     for earlier, later in pairwise(odometry):
+        if later.stamp - earlier.stamp > MAX_ODOMETRY_WINDOW:
+            begin = None
+            continue
         if begin is None or later.stamp - begin.stamp > MAX_ODOMETRY_WINDOW:
             if not truth.covers(earlier.robot, earlier.stamp):
                 continue
@@ -177,8 +180,12 @@ class NearTruth:
         return compose(self._truth.pose(self._robot, known), between(begin, end))
 
     def _odometry_at(self, stamp: int) -> Array | None:
-        after = bisect_left(self._odometry, stamp, key=lambda record: record.stamp)
-        if not 0 < after < len(self._odometry):
+        after = bisect_left(self._odometry, stamp, key=attrgetter('stamp'))
+        if after == len(self._odometry):
+            return None
+        if self._odometry[after].stamp == stamp:
+            return self._odometry[after].pose
+        if after == 0:
             return None
         earlier, later = self._odometry[after - 1], self._odometry[after]
         fraction = (stamp - earlier.stamp) / (later.stamp - earlier.stamp)
