@@ -10,7 +10,7 @@ from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS
 from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.records import (
-    A_NANOSECOND, all_steps, fed, MS, odometry, robot_scan, scan, sequencer_of)
+    A_NANOSECOND, all_steps, fed, MS, odometry, robot_scan, scan, sequencer_of, team)
 
 A_LANDMARK = [(1, (2.0, 0.0))]
 ANOTHER = [(2, (0.0, 2.0))]
@@ -492,3 +492,16 @@ def test_of_a_flood_of_scans_the_oldest_are_rejected_and_of_a_long_backlog_none(
     assert sorted(kept) == [
         *(('r1', ms) for ms in (910, 915, 920)), *(('r2', 100 * (k + 1)) for k in range(5))]
     assert rejection_counts(statistics) == {RejectionReason.OVERLOAD: 2}
+
+
+def test_a_robot_ahead_of_the_others_that_leaves_makes_none_of_them_count_as_silent():
+    sequencer, statistics = sequencer_of('r1', 'r2', 'r3')
+    fed(sequencer, odometry('r3', 500_000))
+
+    sequencer.change_team(team('r1', 'r2').robots)
+    for ms in range(0, 3000, 100):
+        # r2 is a little late, but within max_delay.
+        fed(sequencer, odometry('r1', ms), *([odometry('r2', ms - 50)] if ms else []))
+        assert all(not step.arrivals or ms < 200 for step in sequencer.take())
+
+    assert statistics.released_without.total() == 0
