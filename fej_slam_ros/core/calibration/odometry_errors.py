@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, trajectory
 from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, Indices, poses_at, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry, Scan
 
@@ -33,6 +33,9 @@ NO_ERRORS = np.array([1.0, 1.0, 0.0])
 PRIOR_SIGMA = np.array([0.1, 0.1, 0.05])
 #: Largest standard error of an error that is used, and the smallest error that matters.
 MAX_SIGMA, MIN_ERROR = np.array([0.02, 0.02, 0.002]), np.array([0.005, 0.005, 0.0005])
+#: Time [ns] within which the residuals of pairs depend on each other, as they share odometry, and
+#: minimum number of such times with pairs.
+BLOCK_TIME, MIN_BLOCKS = 10 * NS, 10
 #: Number of standard errors that an error must have, and the largest errors that are looked for.
 MIN_SIGMAS, MAX_ERROR = 4.0, 3.0 * PRIOR_SIGMA
 #: Standard deviation over the median magnitude of normal errors.
@@ -99,7 +102,7 @@ def fit_to_truth(
     first = _least(lambda values: errors(values).ravel(), NO_ERRORS, np.ones(3, bool))
     spread = OF_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
     return _significant(
-        lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), len(stamps), given)
+        lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), firsts, given)
 
 
 def fit_to_landmarks(
@@ -119,7 +122,7 @@ def fit_to_landmarks(
 
     """
     pairs = observation_pairs(odometry, scans, LANDMARK_TIME)
-    if len(pairs.sigma) < MIN_PAIRS:
+    if len(pairs.sigma) < MIN_PAIRS or len(np.unique(pairs.stamps[0] // BLOCK_TIME)) < MIN_BLOCKS:
         return None
     at_base = np.zeros(3)
 
@@ -130,7 +133,7 @@ def fit_to_landmarks(
         r: Array = np.einsum('nji,nj->ni', placed.A, placed.residuals(at_base)).ravel()
         return r
 
-    return _significant(residuals, len(pairs.sigma), given)
+    return _significant(residuals, pairs.stamps[0], given)
 
 
 def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array) -> Array:
@@ -152,14 +155,28 @@ def _motions(before: Array, after: Array) -> Array:
         models.h(before, after[:, :2]), wrap_all(after[:, 2] - before[:, 2])])
 
 
-def _significant(residuals: Residuals, pairs: int, given: Array) -> OdometryErrors:
-    """Return the errors that the data show; what they do not determine is as given."""
+def _significant(
+    residuals: Residuals, stamps: NDArray[np.int64], given: Array
+) -> OdometryErrors:
+    """
+    Return the errors that the data show; what they do not determine is as given.
+
+    Parameters
+    ----------
+    residuals : as many of each pair
+    stamps : of the pairs [ns]
+    given : (3,) array, errors where the data do not determine them
+
+    """
+    pairs, (_, block) = len(stamps), np.unique(stamps // BLOCK_TIME, return_inverse=True)
     free, fixed, of_all = np.ones(3, bool), NO_ERRORS.copy(), np.empty(0)
     is_known, is_at_limit = np.ones(3, bool), False
     while True:
         fit = _least(residuals, fixed, free)
         scatter = OF_MEDIAN * float(np.median(np.abs(residuals(fit.x))))
-        sigma = np.sqrt(np.diag(np.linalg.inv(fit.information))) * max(scatter, 1e-12)
+        P = np.linalg.inv(fit.information)
+        of_independent = np.sqrt(np.diag(P)) * max(scatter, 1e-12)
+        sigma = np.maximum(of_independent, np.sqrt(np.diag(P @ fit.scatter(block) @ P)))
         of_all = sigma if free.all() else of_all
         error = np.abs(fit.x - NO_ERRORS)
         at_limit = error > 0.99 * MAX_ERROR
@@ -172,7 +189,7 @@ def _significant(residuals: Residuals, pairs: int, given: Array) -> OdometryErro
         k = hidden[-1]
         free[k], is_known[k] = False, known[k]
         fixed[k] = NO_ERRORS[k] if known[k] else given[k]
-        is_at_limit |= bool(at_limit[k] and sigma[k] < MAX_SIGMA[k])
+        is_at_limit |= bool(at_limit[k] and of_independent[k] < MAX_SIGMA[k])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,6 +198,18 @@ class _Fit:
 
     x: Array
     information: Array
+    gradients: Array  #: (k, 3) array, of half the robust cost of each residual
+
+    def scatter(self, block: Indices) -> Array:
+        """Return the covariance (3, 3) of the gradient for pairs that depend within blocks."""
+        of_pairs = self.gradients.reshape(len(block), -1, 3).sum(axis=1)
+        of_blocks = np.zeros((block.max() + 1, 3))
+        np.add.at(of_blocks, block, of_pairs)
+        # The mean is 0 but where an error is at its limit.
+        of_blocks -= of_blocks.mean(axis=0)
+        count = len(of_blocks)
+        covariance: Array = of_blocks.T @ of_blocks * count / max(count - 3, 1)
+        return covariance
 
 
 def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
@@ -190,7 +219,7 @@ def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
         errors[free] = values
         return np.append(residuals(errors), (values - NO_ERRORS[free]) / PRIOR_SIGMA[free])
 
-    x = fixed.copy()
+    x, gradients = fixed.copy(), np.zeros((len(residuals(fixed)), 3))
     information = np.diag(1.0 / np.square(PRIOR_SIGMA))
     if free.any():
         start, limit = NO_ERRORS[free], MAX_ERROR[free]
@@ -198,4 +227,7 @@ def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
             of_free, start, loss='soft_l1', x_scale=limit, bounds=(start - limit, start + limit))
         x[free] = fit.x
         information[np.ix_(free, free)] = fit.jac.T @ fit.jac
-    return _Fit(x, information)
+        # SciPy scales J by (1 + r^2)^(-3/4), and the gradient of soft_l1 has (1 + r^2)^(-1/2).
+        r, J = (of[:len(gradients)] for of in (fit.fun, fit.jac))
+        gradients[:, free] = (r * (1.0 + r ** 2) ** 0.25)[:, None] * J
+    return _Fit(x, information, gradients)

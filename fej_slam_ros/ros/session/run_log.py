@@ -291,10 +291,13 @@ class EstimatorLog(RunLog[Estimator]):
 
     def _note_start(self, robot: str, frame: str) -> None:
         if frame == MAP:
-            is_anchor = robot == self._consumer.settings.anchor
-            cause = 'its anchor_pose' if is_anchor else 'its start_pose'
-            if robot in self._restarted:
-                cause = 'what it observes'
+            settings = self._consumer.settings
+            cause = 'what it observes'
+            if robot not in self._restarted:
+                if robot == settings.anchor:
+                    cause = 'its anchor_pose'
+                elif any(r.name == robot and r.start_pose is not None for r in settings.robots):
+                    cause = 'its start_pose'
             self.add(LogSeverity.INFO, f'{robot} joined {frame}, by {cause}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')

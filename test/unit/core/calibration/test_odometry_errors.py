@@ -63,8 +63,8 @@ FITS = pytest.mark.parametrize('fit', [by_truth, by_landmarks])
 def test_errors_are_those_of_the_simulation(fit, scale, bias):
     errors = fit(*run(scale, bias))
 
-    # Standard errors take pairs as independent, which those of landmarks are not.
-    assert (np.abs(errors.values - [*scale, bias]) < 6.0 * errors.sigma).all()
+    # Beyond 4 standard errors once in 16,000 such values.
+    assert (np.abs(errors.values - [*scale, bias]) < 4.0 * errors.sigma).all()
     assert (errors.sigma < [0.005, 0.005, 0.001]).all()
     assert_array_equal(errors.values != NO_ERRORS, np.array([*scale, bias]) != NO_ERRORS)
 
@@ -108,6 +108,14 @@ def test_errors_that_are_none_of_odometry_are_reported(fit):
 def test_too_little_data_give_no_errors():
     assert by_truth(*run(seconds=100.0)) is None
     assert by_landmarks(*run(seconds=1.5)) is None
+
+
+def test_many_pairs_within_seconds_are_too_little_data():
+    odometry, scans, true = run()
+    first = [scan for scan in scans if scan.stamp < 80 * NS]
+
+    assert by_landmarks(odometry, scans, true) is not None
+    assert by_landmarks(odometry, first, true) is None
     assert by_truth([], [], []) is None
     assert by_landmarks([], [], []) is None
 
