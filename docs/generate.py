@@ -153,7 +153,8 @@ REASONS = {
     RejectionReason.ALREADY_LOCATED:
         '`set_pose` for a robot that joined `map` at the same step by what it observed',
     RejectionReason.DOES_NOT_FIT:
-        '`set_pose` that contradicts what the robot shares with the team',
+        '`set_pose` that contradicts what the robot shares with the team, or too uncertain for a'
+        ' robot outside `map`',
     RejectionReason.NOT_JOINED:
         'the observed robot, in another frame, has not moved since its last observation'
         ' (not in the smoother)',

@@ -68,7 +68,8 @@ def nees_after(seed, sigma):
                 e = pose.pose - truth[pose.robot, pose.stamp]
                 e[2] = np.arctan2(np.sin(e[2]), np.cos(e[2]))
                 ratings[pose.robot].append(e @ np.linalg.solve(pose.P, e) / 3.0)
-    assert len(ratings[CARRIED]) > 80
+    # A robot that noticed is on probation for 20 of 95 steps, which an unknown pose does not end.
+    assert len(ratings[CARRIED]) > 70
     return {robot: np.mean(of) for robot, of in ratings.items()}
 
 
