@@ -103,11 +103,17 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     odometry; noise scales are not used.
 
     """
-    records = list(records)
     truth = RecordedTruth()
+    odometry: dict[str, list[Odometry]] = defaultdict(list)
+    scans: dict[tuple[str, str], list[Scan | RobotScan]] = defaultdict(list)
     for record in records:
         if isinstance(record, (TruePose, TrueLandmarks)):
             truth.add(record)
+        elif isinstance(record, Odometry):
+            odometry[record.robot].append(record)
+        elif isinstance(record, (Scan, RobotScan)):
+            kind = 'robot' if isinstance(record, RobotScan) else 'landmark'
+            scans[kind, record.robot].append(record)
     if not settings.shared_landmark_ids:
         # Which robot's IDs the true landmarks have is unknown.
         truth.landmarks.clear()
@@ -115,17 +121,13 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
         kind: {robot.name: [] for robot in settings.robots} for kind in DOF}
     near = {}
     for robot in settings.robots:
-        odometry = sorted(
-            (r for r in records if isinstance(r, Odometry) and r.robot == robot.name),
-            key=attrgetter('stamp'))
-        errors['odometry'][robot.name] += _odometry_errors(odometry, truth, robot)
-        near[robot.name] = NearTruth(truth, robot.name, odometry)
-    for kind, of_kind in (('landmark', Scan), ('robot', RobotScan)):
-        for name in near:
-            scans = sorted(
-                (r for r in records if isinstance(r, of_kind) and r.robot == name),
-                key=attrgetter('stamp'))
-            single = [error for s in scans for error in _observation_errors(s, truth, near)]
+        of_robot = sorted(odometry[robot.name], key=attrgetter('stamp'))
+        errors['odometry'][robot.name] += _odometry_errors(of_robot, truth, robot)
+        near[robot.name] = NearTruth(truth, robot.name, of_robot)
+    for (kind, name), unordered in scans.items():
+        if name in near:
+            ordered = sorted(unordered, key=attrgetter('stamp'))
+            single = [e for scan in ordered for e in _observation_errors(scan, truth, near)]
             errors[kind][name] += _in_windows(single)
     return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 

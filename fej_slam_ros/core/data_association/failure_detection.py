@@ -127,12 +127,10 @@ class LostRobotDetector:
     def _continue_probation(self, robot: str, scan: ScanGateStatistics) -> None:
         if scan.mostly_failed():
             self._probation[robot] = PROBATION
-        elif not scan.known or 2 * scan.failed > scan.known:
-            return
-        elif self._probation[robot] > 1:
+        elif scan.known and 2 * scan.failed <= scan.known:
             self._probation[robot] -= 1
-        else:
-            del self._probation[robot]
+            if not self._probation[robot]:
+                del self._probation[robot]
 
 
 def update_trust(
@@ -217,9 +215,11 @@ def report(state: JointState, innovation: Innovation, scans: Scans) -> None:
 def forget(state: JointState, innovation: Innovation, scans: Scans) -> None:
     """Remove moved landmarks, so that the next observation starts them at their new position."""
     report(state, innovation, scans)
-    for _, landmark in _of_landmarks(gated.association for gated in innovation.rejected):
-        if landmark.was_moved() and landmark.key in state.landmarks:
-            state.remove(landmark)
+    moved = {
+        landmark.key: landmark
+        for _, landmark in _of_landmarks(gated.association for gated in innovation.rejected)
+        if landmark.was_moved() and landmark.key in state.landmarks}
+    state.remove_all([*moved.values()])
 
 
 #: The values of parameter `moved_landmarks`.

@@ -88,12 +88,14 @@ class Sequencer:
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """Change the team or its noise; waiting records of robots that leave are rejected."""
         remaining = {robot.name for robot in robots}
-        for name in [name for name in self._queues if name not in remaining]:
+        leaving = [name for name in self._queues if name not in remaining]
+        for name in leaving:
             # The queue is kept, so that a robot that returns uses no record twice.
             self._left[name] = self._queues.pop(name)
             self._heard.pop(name, None)
             for record in self._left[name].leave():
                 self._reject(record, RejectionReason.LEFT)
+        if leaving:
             # One that was ahead must not make the others count as silent.
             self._newest = max((
                 newest for queue in self._queues.values()

@@ -291,13 +291,13 @@ class EstimatorLog(RunLog[Estimator]):
 
     def _note_start(self, robot: str, frame: str) -> None:
         if frame == MAP:
-            settings = self._consumer.settings
-            cause = 'what it observes'
-            if robot not in self._restarted:
-                if robot == settings.anchor:
-                    cause = 'its anchor_pose'
-                elif any(r.name == robot and r.start_pose is not None for r in settings.robots):
-                    cause = 'its start_pose'
+            is_first = robot not in self._restarted
+            if is_first and robot == self._consumer.settings.anchor:
+                cause = 'its anchor_pose'
+            elif is_first and self._consumer.robots[robot].start_pose is not None:
+                cause = 'its start_pose'
+            else:
+                cause = 'what it observes'
             self.add(LogSeverity.INFO, f'{robot} joined {frame}, by {cause}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')
