@@ -45,6 +45,8 @@ from fej_slam_ros.tables import number, text_table
 
 SCORE_HEADINGS = (
     'robot', 'NIS/dof before', 'after', 'NEES/3 before', 'after', 'gated before', 'after')
+FACTOR_HEADINGS = (
+    'noise', 'robot', 'factor', 'standard error', 'samples', 'from', 'written')
 ODOMETRY_HEADINGS = (
     'odometry of', 'distance', 'standard error', 'turn', 'standard error', 'turn bias [rad/s]',
     'standard error', 'pairs', 'from')
@@ -116,7 +118,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     if odometry:
         print(_odometry_table(odometry))
     print('\n'.join([
-        *_odometry_remarks(odometry), *_remarks(collector, estimates),
+        *_odometry_remarks(settings.estimation, odometry), *_remarks(collector, estimates),
         f'wrote {arguments.output}']))
     return 0
 
@@ -249,7 +251,14 @@ def _odometry_table(found: Mapping[str, tuple[str, OdometryErrors]]) -> str:
         for robot, (source, errors) in found.items()))
 
 
-def _odometry_remarks(found: Mapping[str, tuple[str, OdometryErrors]]) -> Iterator[str]:
+def _odometry_remarks(
+    settings: Settings, found: Mapping[str, tuple[str, OdometryErrors]]
+) -> Iterator[str]:
+    unknown = [robot.name for robot in settings.robots if robot.name not in found]
+    if unknown:
+        yield (
+            'too little data to find systematic errors of the odometry of'
+            f' {", ".join(unknown)}: odometry_scale and odometry_turn_bias are unchanged')
     distance, turn, bias = MAX_ERROR
     for robot, (_, errors) in found.items():
         if errors.is_at_limit:
@@ -260,9 +269,9 @@ def _odometry_remarks(found: Mapping[str, tuple[str, OdometryErrors]]) -> Iterat
 
 
 def _factor_table(estimates: Estimates) -> str:
-    return text_table(('noise', 'robot', 'factor', 'standard error', 'samples', 'from'), (
+    return text_table(FACTOR_HEADINGS, (
         (kind, robot or 'all', f'{noise.scale:.3f}', f'{noise.scale * noise.relative_error:.3f}',
-         str(noise.samples), estimate.source)
+         str(noise.samples), estimate.source, 'yes' if _is_known(estimates, kind) else 'no')
         for kind, estimate in estimates.items() for robot, noise in estimate.scales.items()))
 
 

@@ -26,6 +26,7 @@ from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
 #: Verbs that are ROS nodes: ``arguments.ros_args`` holds ``--ros-args`` and all that follows.
 NODES = ('estimator', 'simulator', 'smoother', 'detector', 'adapter')
+NODE_ARGUMENTS = 'write --ros-args --params-file FILE, -p NAME:=VALUE or -r __ns:=/NAME'
 VERBS = (
     *NODES, 'simulate', 'detect', 'adapt', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate',
     'play', 'view', 'convert', 'export', 'reproduce', 'benchmark', 'demo')
@@ -34,6 +35,14 @@ ENDED_BY_NODE = (*NODES, 'play', 'view')
 UNTIL_INTERRUPTED = (*ENDED_BY_NODE, 'demo')
 #: Errors of a disk, whatever is written to it.
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
+#: What to do without modules that are not from ROS; ROS 2 has no Debian package of rosbags.
+MISSING_MODULES = {
+    'rosbags': (
+        "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install rosbags'"),
+    'foxglove': "pip install '.[foxglove]'",
+    'distributed': "pip install '.[dask]'"}
+#: What to do without the others.
+NO_ROS = "source ROS 2 Jazzy, or install it from PyPI: pip install '.[jazzy]'"
 #: Exit status of the others after a signal, that of a shell for SIGINT.
 INTERRUPTED = 130
 
@@ -103,12 +112,7 @@ def _run(command: str, verb: str, words: list[str]) -> int:
         print(f'{command}: {disk_error(where, error)}', file=sys.stderr)
         return 1
     except ModuleNotFoundError as error:
-        # ROS 2 has no Debian package of rosbags.
-        cure = (
-            "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install"
-            " rosbags'." if (error.name or '').partition('.')[0] == 'rosbags' else
-            'source ROS 2 Jazzy, or install this package with its extras (pip install'
-            " '.[jazzy,plot,dask,foxglove]').")
+        cure = MISSING_MODULES.get((error.name or '').partition('.')[0], NO_ROS)
         print(f'{command}: the Python module {error.name} is missing: {cure}', file=sys.stderr)
         return 1
     except KeyboardInterrupt:
@@ -134,7 +138,10 @@ def _call(command: str, verb: str, words: list[str]) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter)
     module.add_arguments(parser)
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
-    arguments = parser.parse_args(words[:ros])
+    arguments, unknown = parser.parse_known_args(words[:ros])
+    if unknown:
+        cure = f': {NODE_ARGUMENTS}' if verb in NODES else ''
+        parser.error(f'unrecognized arguments: {" ".join(unknown)}{cure}')
     arguments.ros_args = words[ros:]
     status: int = module.run(arguments)
     return status

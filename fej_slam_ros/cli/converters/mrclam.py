@@ -113,6 +113,8 @@ def _report(
     rejected: Mapping[int, Counter[str]],
 ) -> Iterator[str]:
     yield f'landmarks: {len(data.landmarks)}, from {data.landmark_file or "no file"}'
+    yield from _counted(Counter({
+        f'broken row in {name}': count for name, count in data.broken_rows.items()}))
     if not noise.is_measurable(data):
         what = 'delay and scale' if any(len(log.truth) for log in data.logs.values()) else (
             'delay, scale and noise')
@@ -124,7 +126,10 @@ def _report(
             ' minute, and is not in the frame of any ground truth')
     for robot in ROBOT_SUBJECTS:
         if robot not in data.logs:
-            yield f'{robot_name(robot)} is left out: no two rows in Robot{robot}_Odometry.dat'
+            yield (
+                f'{robot_name(robot)} is left out: no two valid rows in'
+                f' Robot{robot}_Odometry.dat')
+            yield from _counted(data.incomplete[robot])
             continue
         log = data.logs[robot]
         used = len(log.observations) - rejected[robot].total()
@@ -134,5 +139,8 @@ def _report(
             f'{robot_name(robot)}: odometry: {len(log.commands)} (gaps above {REPORTED_GAP:g} s:'
             f' {(steps > REPORTED_GAP).sum()}, longest {steps.max():.1f} s),'
             f' observations: {used}, true poses: {true} of {len(log.truth)}')
-        reasons = log.counts + rejected[robot]
-        yield from (f'    {reason}: {count}' for reason, count in reasons.items() if count)
+        yield from _counted(log.counts + rejected[robot])
+
+
+def _counted(counts: Counter[str]) -> Iterator[str]:
+    return (f'    {reason}: {count}' for reason, count in counts.items() if count)

@@ -28,7 +28,7 @@ class PosePriors:
             return Rejection(prior.robot, prior.stamp, RejectionReason.DUPLICATE)
         memory.add(received, may_forget=lambda _: True)
         waiting = self._waiting.setdefault(prior.robot, [])
-        insort(waiting, prior, key=lambda other: other.stamp)
+        insort(waiting, prior, key=_order)
         if len(waiting) > MAX_WAITING_PRIORS:
             return Rejection(prior.robot, waiting.pop(0).stamp, RejectionReason.AFTER_ODOMETRY)
         return None
@@ -42,3 +42,8 @@ class PosePriors:
     def leave(self, robot: str) -> list[PosePrior]:
         """Remove and return the waiting priors of a robot."""
         return self._waiting.pop(robot, [])
+
+
+def _order(prior: PosePrior) -> tuple[int, list[float]]:
+    """Return what sorts priors: the stamp, then the content, never the order of arrival."""
+    return prior.stamp, [*prior.pose.tolist(), *prior.P.ravel().tolist()]

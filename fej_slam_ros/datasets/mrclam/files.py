@@ -59,23 +59,30 @@ class MrclamSet:
     logs: Mapping[int, RobotLog]  #: Of the robots with at least two rows of odometry, by subject
     landmarks: Mapping[int, Array]  #: True positions (2,), by subject
     landmark_file: str  #: Name of their file, '' for none
+    incomplete: Mapping[int, Counter[str]]  #: Counts of the other robots' logs, by subject
+    broken_rows: Counter[str]  #: Number of broken rows in the files of all robots, by name
 
 
 def read(folder: Path) -> MrclamSet:
     """Return the set in a folder, which must hold bar codes and the odometry of a robot."""
     require_folder(folder, 'the files of an MRCLAM set')
-    codes = _subjects_by_code(folder / 'Barcodes.dat')
-    logs = _logs([_recorded(folder, robot, codes) for robot in ROBOT_SUBJECTS])
+    broken: Counter[str] = Counter()
+    codes = _subjects_by_code(folder / 'Barcodes.dat', broken)
+    sparse_truth = _table(folder / 'sparse_truth.csv', 5, broken, max_columns=6)
+    logs = _logs([
+        _recorded(folder, robot, codes, sparse_truth[sparse_truth[:, 0] == robot, 1:])
+        for robot in ROBOT_SUBJECTS])
     complete = {log.robot: log for log in logs if len(log.commands) > 1}
     if not complete:
         raise UserError(
             f'{folder} holds no odometry of any robot: put Robot1_Odometry.dat and so on there,'
             ' with rows of time [s], v [m/s], w [rad/s]')
-    return MrclamSet(complete, *_landmarks(folder))
+    incomplete = {log.robot: _unused(log) for log in logs if log.robot not in complete}
+    return MrclamSet(complete, *_landmarks(folder, broken), incomplete, broken)
 
 
-def _subjects_by_code(path: Path) -> dict[int, int]:
-    rows, _ = _table(path, 2)
+def _subjects_by_code(path: Path, broken: Counter[str]) -> dict[int, int]:
+    rows = _table(path, 2, broken)
     if not len(rows):
         raise UserError(
             f'{path} is missing or has no bar codes: give the folder with all files of an MRCLAM'
@@ -83,23 +90,32 @@ def _subjects_by_code(path: Path) -> dict[int, int]:
     return {int(code): int(subject) for subject, code in rows}
 
 
-def _landmarks(folder: Path) -> tuple[dict[int, Array], str]:
+def _landmarks(folder: Path, broken: Counter[str]) -> tuple[dict[int, Array], str]:
     """Return true positions and the name of their file; the corrected file is preferred."""
     for name in ('Landmark_Groundtruth_fixed.dat', 'Landmark_Groundtruth.dat'):
-        rows, _ = _table(folder / name, 3, 5)
+        rows = _table(folder / name, 3, broken, max_columns=5)
         if len(rows):
             return {int(row[0]): row[1:3] for row in rows}, name
     return {}, ''
 
 
-def _recorded(folder: Path, robot: int, codes: Mapping[int, int]) -> RobotLog:
-    """Return the rows of a robot in the order of recording."""
+def _recorded(
+    folder: Path, robot: int, codes: Mapping[int, int], sparse_truth: Array
+) -> RobotLog:
+    """
+    Return the rows of a robot in the order of recording.
+
+    Its sparse true poses (n, 4), which begin with the time [s], are used without motion capture.
+    """
     counts: Counter[str] = Counter()
-    truth = _true_poses(folder, robot, counts)
+    truth = _series(folder / f'Robot{robot}_Groundtruth.dat', 4, counts)
+    if not len(truth):
+        truth = _stamped(sparse_truth, counts)
+    counts['stamp steps back (put in order)'] += int((np.diff(truth.stamps) < 0).sum())
     commands = _series(folder / f'Robot{robot}_Odometry.dat', 3, counts)
     observations = _identified(
         _series(folder / f'Robot{robot}_Measurement.dat', 4, counts), robot, codes, counts)
-    return RobotLog(robot, commands, observations, truth, counts)
+    return RobotLog(robot, commands, observations, truth.in_order(), counts)
 
 
 def _logs(recorded: Sequence[RobotLog]) -> list[RobotLog]:
@@ -117,6 +133,13 @@ def _is_doubtful(log: RobotLog) -> tuple[bool, int]:
     return bool(breaks(log.commands.stamps)), -len(log.truth)
 
 
+def _unused(log: RobotLog) -> Counter[str]:
+    """Return the counts of a log without odometry, all of whose rows are left out."""
+    return log.counts + Counter({
+        'command': len(log.commands), 'observation': len(log.observations),
+        'true pose': len(log.truth)})
+
+
 def _checked(log: RobotLog, ordered: ClockPart) -> RobotLog:
     """Return a log of ordered rows, one command at each stamp and one observation of a subject."""
     commands, counts = ordered.commands, log.counts
@@ -125,16 +148,6 @@ def _checked(log: RobotLog, ordered: ClockPart) -> RobotLog:
     return replace(
         log, commands=commands, observations=_once_in_scan(ordered.observations, counts),
         truth=_without_slips(log.truth, commands, counts), joints=ordered.joints)
-
-
-def _true_poses(folder: Path, robot: int, counts: Counter[str]) -> Series:
-    truth = _series(folder / f'Robot{robot}_Groundtruth.dat', 4, counts)
-    if not len(truth):
-        # A few poses of a robot without a file of motion capture.
-        rows, _ = _table(folder / 'sparse_truth.csv', 5, 6)
-        truth = _stamped(rows[rows[:, 0] == robot, 1:], counts)
-    counts['stamp steps back (put in order)'] += int((np.diff(truth.stamps) < 0).sum())
-    return truth.in_order()
 
 
 def _identified(
@@ -191,8 +204,9 @@ def _without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Ser
 
 def _series(path: Path, columns: int, counts: Counter[str]) -> Series:
     """Return a file of rows that begin with their time [s], as recorded; it may be missing."""
-    rows, broken = _table(path, columns)
-    counts['broken row'] += broken
+    broken: Counter[str] = Counter()
+    rows = _table(path, columns, broken)
+    counts['broken row'] += broken.total()
     return _stamped(rows, counts)
 
 
@@ -205,17 +219,20 @@ def _stamped(rows: Array, counts: Counter[str]) -> Series:
     return Series(stamps, rows[:, 1:])
 
 
-def _table(path: Path, columns: int, max_columns: int = 0) -> tuple[Array, int]:
+def _table(path: Path, columns: int, broken: Counter[str], *, max_columns: int = 0) -> Array:
     """
-    Return the rows (n, columns) of a text file and the number of broken rows.
+    Return the rows (n, columns) of a text file, and count the broken ones under its name.
 
-    Columns beyond the first ones, up to `max_columns`, are ignored; a missing file has no rows.
+    Columns beyond the first ones, up to `max_columns`, are ignored, and so is the heading of a
+    CSV file; a missing file has no rows.
     """
     text = path.read_text(encoding='utf-8-sig', errors='replace') if path.is_file() else ''
     lines = (line.partition('#')[0] for line in text.splitlines())
     rows = [_numbers(line) for line in lines if line.strip()]
     whole = [row[:columns] for row in rows if columns <= len(row) <= max(columns, max_columns)]
-    return np.array(whole).reshape(-1, columns), len(rows) - len(whole)
+    has_heading = path.suffix == '.csv' and bool(rows) and not rows[0]
+    broken[path.name] += len(rows) - len(whole) - has_heading
+    return np.array(whole).reshape(-1, columns)
 
 
 def _numbers(line: str) -> list[float]:

@@ -14,7 +14,7 @@ from types import ModuleType
 
 import pytest
 
-from fej_slam_ros.cli.main import executable, main, VERBS
+from fej_slam_ros.cli.main import executable, main, NODES, VERBS
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import INTERRUPTS
 from helpers.ros import assert_one_sentence, run_verb
@@ -124,7 +124,7 @@ def test_errors_of_a_verb_offer_only_options_that_it_has(verb):
 
 @pytest.mark.parametrize(('module', 'cure'), [
     ('rclpy', 'source ROS 2 Jazzy, or'), ('rosbags', "run 'rosdep install "),
-    ('rosbags.typesys', "'pip install rosbags'")])
+    ('rosbags.typesys', "'pip install rosbags'"), ('foxglove', "pip install '.[foxglove]'")])
 def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
     error = ModuleNotFoundError(f'No module named {module!r}', name=module)
 
@@ -133,6 +133,17 @@ def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
     assert sentence.startswith(f'play: the Python module {module} is missing: ')
     assert cure in sentence
     assert sentence.count('\n') == 1
+
+
+@pytest.mark.parametrize('verb', [*NODES, 'replay'])
+def test_options_of_ros_before_ros_args_are_named_with_the_way_to_give_them(verb, capsys):
+    required = ['bag', '--params', 'a.yaml', '--output', 'out'] if verb == 'replay' else []
+
+    assert run_verb(verb, *required, '--namespace', 'fleet') == 2
+
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert 'unrecognized arguments: --namespace fleet' in said
+    assert ('write --ros-args --params-file FILE' in said) == (verb in NODES)
 
 
 @pytest.mark.parametrize('verb', ['doctor', 'evaluate', 'play'])

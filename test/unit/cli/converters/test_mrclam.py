@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.ros.files import bags
-from helpers.mrclam import STRAIGHT, write_set
+from helpers.mrclam import BARCODES, STRAIGHT, write_set
 from helpers.ros import run_bag, run_verb
 
 
@@ -34,7 +34,9 @@ def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mr
         '--output', bag, '--motion-delay', 0,
         Robot1_Groundtruth=[(100 + k, 0.1 * k, 0, 0) for k in range(15)],
         Robot1_Measurement=[(101, 7, 2, 0.5), (105, 14, 2, 0.5), (105, 99, 1, 0)],
-        Robot2_Odometry=[(100, 0, 0), (110, 0, 0)])
+        Robot2_Odometry=[(100, 0, 0), (110, 0, 0)],
+        Robot3_Odometry=[(100, 0, 0), (110, 'fast', 0)], Robot3_Measurement=[(105, 7, 2, 0)],
+        Barcodes=[*BARCODES, (19, 'torn')])
 
     assert status == 0
     assert {name: topic.messages for name, topic in bags.topics(bag).items()} == {
@@ -43,7 +45,10 @@ def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mr
     assert 'r1: odometry: 11 (gaps above 0.4 s: 10, longest 1.0 s), observations: 2,' in said
     assert ' true poses: 11 of 15\n' in said
     assert '    unknown bar code: 1\n' in said
-    assert 'r3 is left out: no two rows in Robot3_Odometry.dat\n' in said
+    assert '    broken row in Barcodes.dat: 1\n' in said
+    assert (
+        'r3 is left out: no two valid rows in Robot3_Odometry.dat\n    broken row: 1\n'
+        '    command: 1\n    observation: 1\nr4 is left out') in said
     assert said.endswith(f'wrote {bag} and {bag}.yaml\n')
 
 

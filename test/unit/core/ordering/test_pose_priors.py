@@ -24,6 +24,17 @@ def test_priors_are_taken_once_and_in_the_order_of_stamps():
     assert not [*priors.take('r2', 900 * MS)]
 
 
+def test_the_order_of_arrival_does_not_matter_at_one_stamp():
+    taken = []
+    for xs in [(2.0, 1.0, 3.0), (3.0, 2.0, 1.0)]:
+        priors = PosePriors()
+        for x in xs:
+            priors.add(prior(100, x))
+        taken.append([prior.pose[0] for prior in priors.take('r1', 100 * MS)])
+
+    assert taken[0] == taken[1]
+
+
 def test_a_prior_sent_again_is_a_duplicate_also_after_its_robot_returned():
     priors = PosePriors()
     priors.add(prior(100))
