@@ -32,6 +32,7 @@ from fej_slam_ros.cli.arguments import number_option
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.evaluation.coverage import REGIONS
 from fej_slam_ros.evaluation.run_evaluation import (
     ROBOT_ALIGNED, RunEvaluation, TEAM_ALIGNED, UNALIGNED)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
@@ -48,6 +49,9 @@ COVARIANCE_HEADER = (
 CONSISTENCY_HEADINGS = (
     'robot', 'NEES/3', '95 % band', 'if independent', 'inside 1 sigma', '2', '3', '95 %',
     'NIS/dof', '95 % band')
+#: Last row: what consistent estimates have.
+EXPECTED = (
+    'expected', '1', '', '', *(f'{100 * p:.1f} %' for p in REGIONS.values()), '1', '')
 
 
 class Sources(NamedTuple):
@@ -160,7 +164,8 @@ def _tables(report: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:
         (_error_row(name, row, lengths) for name, row in rows.items()))
     yield ''
     yield text_table(
-        CONSISTENCY_HEADINGS, (_consistency_row(name, row) for name, row in rows.items()))
+        CONSISTENCY_HEADINGS,
+        [*(_consistency_row(name, row) for name, row in rows.items()), EXPECTED])
     yield ''
     yield _map_line(report['landmarks'], shared_ids)
     for name, robot in robots.items():

@@ -8,7 +8,7 @@ from typing import Any
 from fej_slam_ros.tables import number, text_table
 
 RUN_HEADINGS = (
-    'robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'received', 'used', 'rejected')
+    'robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'messages', 'used', 'rejected')
 
 
 def run_table(summary: Mapping[str, Any]) -> str:
@@ -22,7 +22,7 @@ def run_table(summary: Mapping[str, Any]) -> str:
     rejected = ', '.join(
         f'{reason} {count}' for reason, count in summary['counts'].items()
         if count and reason not in ('used', 'released_without'))
-    lines += ['', landmarks, f'rejected: {rejected or "nothing"}']
+    lines += ['', landmarks, f'rejected messages and observations: {rejected or "none"}']
     lines += [f'{name} is not in map: {why}' for name, why in summary['not_in_map'].items()]
     if summary['depends_on_arrival']:
         lines.append('the result depends on the order of arrival')

@@ -91,7 +91,7 @@ def draw_nees(file: BinaryIO, evaluation: RunEvaluation) -> None:
     left.set_yscale('log')
     left.set_ylim(bottom=max(left.get_ylim()[0], 1e-3))
     left.yaxis.set_major_formatter('{x:g}')
-    left.set(xlabel='time [s]', ylabel='NEES/3', title='NEES: above 1 is overconfident')
+    left.set(xlabel='time [s]', ylabel='NEES/3', title='NEES: a mean above 1 is overconfident')
     right.set(
         xlabel='probability of the region', ylabel='share of errors inside',
         title='Coverage: below the diagonal is overconfident', aspect='equal')
@@ -106,13 +106,12 @@ def _draw_landmarks(axes: Axes, evaluation: RunEvaluation) -> None:
     true = np.array([*evaluation.truth.landmarks.values()]).reshape(-1, 2)
     if len(estimated.ids):
         axes.plot(
-            *estimated.points.T, '+', color=FIGURE_LANDMARK_COLOUR, markersize=7,
+            *estimated.points.T, '^', color=FIGURE_LANDMARK_COLOUR, markersize=3,
             label='estimated landmark', zorder=4)
     for point, P in zip(estimated.points, estimated.P):
         axes.add_patch(_ellipse(point, P, FIGURE_LANDMARK_COLOUR))
     if len(true):
-        axes.plot(
-            *true.T, '^', color='black', fillstyle='none', markersize=6, label='true landmark')
+        axes.plot(*true.T, '+', color='black', markersize=7, label='true landmark')
 
 
 def _first_stamp(evaluation: RunEvaluation) -> int:

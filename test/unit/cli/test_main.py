@@ -139,10 +139,10 @@ def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
 def test_options_of_ros_before_ros_args_are_named_with_the_way_to_give_them(verb, capsys):
     required = ['bag', '--params', 'a.yaml', '--output', 'out'] if verb == 'replay' else []
 
-    assert run_verb(verb, *required, '--namespace', 'fleet') == 2
+    assert run_verb(verb, *required, '--fleet', 'a') == 2
 
     said = capsys.readouterr().err.splitlines()[-1]
-    assert 'unrecognized arguments: --namespace fleet' in said
+    assert 'unrecognized arguments: --fleet a' in said
     assert ('write --ros-args --params-file FILE' in said) == (verb in NODES)
 
 
