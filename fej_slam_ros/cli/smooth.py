@@ -28,7 +28,11 @@ from fej_slam_ros.tables import text_table
 
 BASE_NODE_HEADINGS = (
     'base node', 'frame', 'x [m]', 'y [m]', 'yaw [rad]', 'sigma x', 'sigma y', 'sigma yaw')
-MESSAGE_HEADINGS = ('to align, from', 'to', 'subset [B]', 'log [B]', 'map [B]', 'smallest')
+MESSAGE_HEADINGS = ('message from', 'to', 'subset [B]', 'log [B]', 'map [B]', 'smallest')
+#: What the table of these is about.
+MESSAGES = (
+    'Size of one message that lets a robot align its map with that of a robot it met: the subset'
+    ' of\nrendezvous poses with their information, all measurements, or the whole map.')
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,6 +89,7 @@ def _tables(session: BagSmootherSession, own_ids: bool) -> Iterator[str]:
     if rows:
         yield text_table(BASE_NODE_HEADINGS, rows)
     if session.message_sizes:
+        yield '\n' + MESSAGES
         yield text_table(MESSAGE_HEADINGS, (
             (*robots, *map(str, by_form.values()), smallest(by_form))
             for robots, by_form in session.message_sizes.items()))
