@@ -19,7 +19,7 @@ from fej_slam_ros.palette import line_style
 
 LIMIT = 'limit of the machine'
 #: Maximum number of sizes that are written along an axis.
-MAX_TICKS = 10
+MAX_AXIS_TICKS = 10
 
 
 #: Sizes, and the times [s] of each.
@@ -55,7 +55,7 @@ def _draw(axes: Axes, panel: Panel) -> None:
             sizes, [1e3 * time for time in times], line, marker='.', color=colour,
             label=f'{name}{exponent}')
     ticks = sorted({size for sizes, _ in panel.curves.values() for size in sizes})
-    if len(ticks) <= MAX_TICKS:
+    if len(ticks) <= MAX_AXIS_TICKS:
         axes.set_xticks(ticks, [f'{size:g}' for size in ticks])
         axes.set_xticks([], minor=True)
     axes.set(title=panel.title, xlabel=panel.size, ylabel='time [ms]')

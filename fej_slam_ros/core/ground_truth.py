@@ -20,7 +20,7 @@ from fej_slam_ros.errors import UserError
 MAX_GAP = 500_000_000
 
 #: Maximum number of true poses kept per robot; the oldest are dropped.
-MAX_POSES = 10_000
+MAX_TRUE_POSES = 10_000
 
 
 class MissingTruthError(UserError):
@@ -63,9 +63,9 @@ class RecordedTruth:
         return [robot for robot, poses in self._poses.items() if poses]
 
     def take_surplus(self, robot: str) -> list[int]:
-        """Drop a robot's oldest true poses beyond MAX_POSES; return their stamps [ns]."""
+        """Drop a robot's oldest true poses beyond MAX_TRUE_POSES; return their stamps [ns]."""
         poses = self._poses[robot]
-        count = max(len(poses) - MAX_POSES, 0)
+        count = max(len(poses) - MAX_TRUE_POSES, 0)
         surplus, poses[:count] = poses[:count], []
         return [stamp for stamp, _ in surplus]
 

@@ -15,7 +15,7 @@ import numpy as np
 from fej_slam_ros.core import models
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.geometry import Array, between, compose, perpendicular
-from fej_slam_ros.core.ordering.impossible_motion import UNKNOWN
+from fej_slam_ros.core.ordering.impossible_motion import UNKNOWN_SPEEDS
 from fej_slam_ros.core.ordering.odometry_increments import checked_increment, corrected
 from fej_slam_ros.core.records import NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
@@ -41,7 +41,7 @@ class PosePredictor:
         self._records: list[Odometry] = []
         self._poses: Array = np.empty((0, 3))
         self._noise: Array = np.empty((0, 3, 3))
-        self._speeds = UNKNOWN
+        self._speeds = UNKNOWN_SPEEDS
         self._settled: PoseEstimate | None = None
         self._settled_odometry: Array = np.zeros(3)
 
@@ -119,6 +119,6 @@ class PosePredictor:
     def _keep_from(self, k: int) -> None:
         """Remove the records before number k and the increments from them."""
         if k > len(self._noise):
-            self._speeds = UNKNOWN
+            self._speeds = UNKNOWN_SPEEDS
         self._records = self._records[k:]
         self._poses, self._noise = self._poses[k:], self._noise[k:]

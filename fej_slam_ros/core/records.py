@@ -24,6 +24,8 @@ NS = 1_000_000_000
 
 #: ID of an observation whose landmark is unknown.
 NO_ID = -1
+#: Largest landmark ID and robot ID: IDs are published as int32.
+MAX_ID = 2**31 - 1
 
 #: A motion or pose with a larger standard deviation of heading [rad] or position [m], as after a
 #: gap in the odometry, is too uncertain to linearise.

@@ -21,8 +21,8 @@ from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import (
-    NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
-    TrueLandmarks, TruePose)
+    MAX_ID, NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan,
+    Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.datasets.file_checks import checked_stamp, require_folder
 from fej_slam_ros.errors import UserError
@@ -229,8 +229,8 @@ def _true_landmark(cells: Cells) -> tuple[int, Array]:
 
 def _id(cells: Cells, least: int) -> int:
     number = int(cells['id'] or '')
-    if not least <= number < 2**31:
-        raise ValueError(f'id is {number} and not from {least} to {2**31 - 1}')
+    if not least <= number <= MAX_ID:
+        raise ValueError(f'id is {number} and not from {least} to {MAX_ID}')
     return number
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import MAX_ID, NS
 from fej_slam_ros.errors import UsageError, UserError
 
 #: Messages hold seconds as int32.
@@ -48,7 +48,7 @@ def require_finite(*columns: Array) -> None:
 
 def require_landmark_ids(scans: Array, ids: Array) -> None:
     """Raise a `UserError` for an ID that is no int32 >= 0, or that is twice in one scan."""
-    if ((ids != np.floor(ids)) | (ids < 0) | (ids >= 2**31)).any():
-        raise UserError('a landmark has an id that is not an integer from 0 to 2147483647')
+    if ((ids != np.floor(ids)) | (ids < 0) | (ids > MAX_ID)).any():
+        raise UserError(f'a landmark has an id that is not an integer from 0 to {MAX_ID}')
     if len(np.unique(np.column_stack([scans, ids]), axis=0)) < len(ids):
         raise UserError('a scan observes one landmark twice')

@@ -11,7 +11,7 @@ import numpy as np
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.detection.detections import Detections, RejectedSegment
 from fej_slam_ros.detection.laser_scan import beams_of, LaserScan, TOO_NEAR
-from fej_slam_ros.detection.segments import largest_jumps, MAX_GAP
+from fej_slam_ros.detection.segments import largest_jumps, MAX_BEAM_GAP
 
 #: Mean of sqrt(1 - b^2) over the offsets b of beams from the centre of a circle, and its variance.
 MEAN_DEPTH, DEPTH_VARIANCE = math.pi / 4.0, 2.0 / 3.0 - math.pi**2 / 16.0
@@ -56,7 +56,7 @@ class ReflectorDetector:
         a, r = beams.angles[bright], beams.ranges[bright]
         gaps, width = np.diff(a), np.minimum(r[1:], r[:-1]) * np.diff(a)
         jumps = largest_jumps(width, max(self.radius, MIN_RADIUS), self.range_sigma)
-        is_new = (gaps > MAX_GAP * beams.increment) | (np.abs(np.diff(r)) > jumps)
+        is_new = (gaps > MAX_BEAM_GAP * beams.increment) | (np.abs(np.diff(r)) > jumps)
         first = np.flatnonzero(np.append(True, is_new))
         count = np.diff(np.append(first, len(bright)))
         # Something nearer beside a reflector may hide a part of it.

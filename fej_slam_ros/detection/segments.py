@@ -14,7 +14,7 @@ JUMP_SIGMAS = 5.0 * 2.0**0.5
 #: The same for an object and the range of the laser.
 REACH_SIGMAS = 3.0
 #: Largest angle between known beams on one object, and beside its edge, in increments.
-MAX_GAP = MAX_DROPOUTS + 1.5
+MAX_BEAM_GAP = MAX_DROPOUTS + 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +72,7 @@ class Segments:
             reach = r[outer] + largest_jumps(r[outer] * gap, half, range_sigma, REACH_SIGMAS)
             is_within = (r[beside] < NOTHING) | (reach < self.beams.limit)
             free[:, k] = (
-                (gap <= MAX_GAP * self.beams.increment) & (r[beside] > r[outer]) & is_within)
+                (gap <= MAX_BEAM_GAP * self.beams.increment) & (r[beside] > r[outer]) & is_within)
         return free
 
 
@@ -105,7 +105,7 @@ def segments(beams: Beams, max_radius: float, range_sigma: float) -> Segments:
         """Return whether neighbouring beams (k,) have met different objects (k - 1,)."""
         finite, gap = np.isfinite(padded.ranges), np.diff(padded.angles)
         r = np.where(finite, padded.ranges, 0.0)
-        is_one = finite[1:] & finite[:-1] & (gap <= MAX_GAP * padded.increment)
+        is_one = finite[1:] & finite[:-1] & (gap <= MAX_BEAM_GAP * padded.increment)
         width = np.minimum(r[1:], r[:-1]) * gap
         differ: Flags = np.abs(np.diff(r)) > largest_jumps(width, max_radius, range_sigma)
         return differ | ~is_one

@@ -18,7 +18,7 @@ from fej_slam_ros.core.records import NS, Odometry
 
 #: Duration of a step [ns] and [s].
 STEP = NS // 2
-T = STEP / NS
+STEP_SECONDS = STEP / NS
 #: Forward speed along the course [m/s].
 FORWARD_SPEED = 0.5
 #: Gain from the pose error (ahead, left, turned left) relative to the course to (v, v_lat, omega):
@@ -47,12 +47,13 @@ def drive(legs: Sequence[Leg], sigma: Array, rng: np.random.Generator) -> Driven
     poses = [np.zeros(3)]
     commands = []
     velocities = (
-        np.array([FORWARD_SPEED, 0.0, turn / (steps * T)])
+        np.array([FORWARD_SPEED, 0.0, turn / (steps * STEP_SECONDS)])
         for steps, turn in legs for _ in range(steps))
     for planned in velocities:
         u = planned - STEERING_GAIN @ between(course[-1], poses[-1])
-        course.append(compose(course[-1], constant_turn(planned, sigma, T)[0]))
-        poses.append(compose(poses[-1], constant_turn(u + rng.normal(0.0, sigma), sigma, T)[0]))
+        course.append(compose(course[-1], constant_turn(planned, sigma, STEP_SECONDS)[0]))
+        driven = u + rng.normal(0.0, sigma)
+        poses.append(compose(poses[-1], constant_turn(driven, sigma, STEP_SECONDS)[0]))
         commands.append(u)
     return DrivenPath(np.array(commands), np.array(poses))
 
@@ -64,11 +65,11 @@ def odometry(
     Yield the integrated odometry of a robot from [0, 0, 0], eqs. (7) and (10).
 
     The commands (K, 3) lead from each of the K + 1 stamps to the next. The covariance Q of an
-    increment is carried by the later message as that of the mean twist, Q / T^2.
+    increment is carried by the later message as that of the mean twist, Q / STEP_SECONDS^2.
     """
     pose = np.zeros(3)
     yield Odometry(robot, stamps[0], pose, None)
     for stamp, u in zip(stamps[1:], commands):
-        U, Q = constant_turn(u, sigma, T)
+        U, Q = constant_turn(u, sigma, STEP_SECONDS)
         pose = compose(pose, U)
-        yield Odometry(robot, stamp, pose, Q / T**2)
+        yield Odometry(robot, stamp, pose, Q / STEP_SECONDS**2)

@@ -30,7 +30,7 @@ POST_TAG_HEIGHTS = (0.2, 0.8)
 #: Angle between the normal of a tag and the direction to the camera beyond which it is not seen.
 MAX_VIEW_ANGLE = math.radians(70.0)
 #: Nearest distance at which a tag fits into an image [m].
-MIN_DISTANCE = 0.4
+MIN_TAG_DISTANCE = 0.4
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ def _tag(point: Array, height: float, normal: float) -> Array:
 def _is_in_view(tag: Array, settings: CameraSettings) -> bool:
     x, _, z = t = tag[:3, 3]
     distance = float(np.linalg.norm(t))
-    if not MIN_DISTANCE <= distance <= settings.range or z <= 0.0:
+    if not MIN_TAG_DISTANCE <= distance <= settings.range or z <= 0.0:
         return False
     view = math.acos(float(np.clip(tag[:3, 2] @ t / distance, -1.0, 1.0)))
     return view <= MAX_VIEW_ANGLE and abs(math.atan2(x, z)) <= settings.field_of_view / 2.0

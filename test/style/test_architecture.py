@@ -93,7 +93,8 @@ RULES = {
     'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/': Rule(
         f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette '
-        'fej_slam_ros.tables fej_slam_ros.child_process matplotlib'),
+        'fej_slam_ros.tables fej_slam_ros.child_process fej_slam_ros.interrupts '
+        'matplotlib'),
     'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
     'benchmark/gtsam_batch.py': Rule(
         f'{CORE} fej_slam_ros.benchmark.batch fej_slam_ros.benchmark.isam2 gtsam'),

@@ -36,7 +36,7 @@ MIN_WEIGHT = 0.1
 #: not determine one: on circles about one centre, turns about it change nothing.
 POSE_SCALE, WEIGHT = np.array([0.5, 0.5, 0.5]), 0.2
 #: Largest error of stamps that is looked for [s].
-MAX_DELAY = 0.5
+MAX_STAMP_ERROR = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,8 +79,8 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
     given = pairs.at_odometry(0.0)
     pose, none = given.fitted(), np.zeros(3)
     delay = float(minimize_scalar(
-        lambda delay: pairs.at_odometry(delay).agreement(none), bounds=(-MAX_DELAY, MAX_DELAY),
-        method='bounded').x)
+        lambda delay: pairs.at_odometry(delay).agreement(none),
+        bounds=(-MAX_STAMP_ERROR, MAX_STAMP_ERROR), method='bounded').x)
     turned = pairs.mirrored().at_odometry(0.0)
     return SensorFit(
         len(pairs.sigma), given.agreement(none), given.agreement(pose), pose,
@@ -101,7 +101,7 @@ def observation_pairs(
 ) -> 'ObservationPairs':
     """Return pairs of observations of one landmark, at most a time [ns] apart."""
     stamps, poses = trajectory(odometry)
-    margin = round(MAX_DELAY * NS)
+    margin = round(MAX_STAMP_ERROR * NS)
     inside = [
         scan for scan in scans if len(stamps)
         and stamps[0] + margin < scan.stamp < stamps[-1] - margin]

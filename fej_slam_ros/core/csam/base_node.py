@@ -27,7 +27,7 @@ from fej_slam_ros.core.smoothing.least_squares import whitener
 
 #: Smallest spread of the observed positions, in standard deviations: below it noise passes for
 #: geometry and the heading is overconfident.
-MIN_SPREAD = 15.0
+MIN_SPREAD_SIGMAS = 15.0
 #: Observations in the first window for a start; drift distorts a longer window.
 FIRST_WINDOW = 8
 #: Largest increment of a coordinate at the end [m, rad].
@@ -111,7 +111,7 @@ def align(
     if not starts:
         return JoinFailure(
             f'cannot align: the observed positions lie within {algorithm.spread():.1f} sigma,'
-            f' {MIN_SPREAD:g} are needed to determine the heading')
+            f' {MIN_SPREAD_SIGMAS:g} are needed to determine the heading')
     # All starts lead to one minimum, if there is one.
     for start in starts:
         try:
@@ -183,7 +183,7 @@ class _Algorithm1:
         while True:
             window = central(count, length)
             by_p = self._observations.by_p[window]
-            if (by_p.any() and not by_p.all()) or self.spread(window) >= MIN_SPREAD:
+            if (by_p.any() and not by_p.all()) or self.spread(window) >= MIN_SPREAD_SIGMAS:
                 yield rigid_fit(self._in_q[window], self._in_p[window], self._weights[window])
             if length >= count:
                 return

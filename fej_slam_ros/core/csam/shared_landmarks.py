@@ -23,7 +23,7 @@ from fej_slam_ros.core.point_consensus import farthest_points
 from fej_slam_ros.core.records import LandmarkKey
 
 #: Largest heading sigma [rad] of an alignment; beyond it the iteration may start too far away.
-MAX_HEADING_SIGMA = 0.1
+MAX_ALIGNMENT_SIGMA = 0.1
 #: Steps of the alignment with full covariances, from that with their traces.
 ALIGNMENT_STEPS = 5
 #: Minimum and maximum number of pairs of maps from which the noise between maps is estimated.
@@ -55,10 +55,10 @@ def align_by_landmarks(
     weights = 2.0 / np.diag(P_p + P_q).reshape(-1, 2).sum(axis=1)
     spread = points_q - np.average(points_q, axis=0, weights=weights)
     heading_sigma = 1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1))
-    if heading_sigma > MAX_HEADING_SIGMA:
+    if heading_sigma > MAX_ALIGNMENT_SIGMA:
         return JoinFailure(
             f'cannot align: the heading sigma by {len(shared)} shared landmarks is'
-            f' {heading_sigma:.2f} rad, {MAX_HEADING_SIGMA} is needed')
+            f' {heading_sigma:.2f} rad, {MAX_ALIGNMENT_SIGMA} is needed')
     base_node = rigid_fit(points_q, points_p, weights)
     for _ in range(ALIGNMENT_STEPS):
         chi_square, step, P = _step(base_node, points_p, points_q, P_p, P_q)

@@ -22,11 +22,11 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.pieces import pause, PIECE_FLOPS
 
 #: Maximum number of observations of an update that is not divided.
-MAX_JOINT = 256
+MAX_JOINT_OBSERVATIONS = 256
 #: Maximum number of observations of a block: more take more flops for S, fewer make BLAS slow.
-MAX_BLOCK = 64
+MAX_BLOCK_OBSERVATIONS = 64
 #: Minimum number.
-MIN_BLOCK = 16
+MIN_BLOCK_OBSERVATIONS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -41,12 +41,14 @@ class BlockUpdate:
 
 def is_divided(covariance: JointCovariance, count: int) -> bool:
     """Return whether an update of so many observations is done in blocks."""
-    return count > MIN_BLOCK and count > min(MAX_JOINT, _affordable(covariance))
+    return count > max(
+        MIN_BLOCK_OBSERVATIONS, min(MAX_JOINT_OBSERVATIONS, _affordable(covariance)))
 
 
 def block_size(covariance: JointCovariance) -> int:
     """Return the number of observations of a block, one piece of work."""
-    return max(MIN_BLOCK, min(MAX_BLOCK, _affordable(covariance)))
+    return max(
+        MIN_BLOCK_OBSERVATIONS, min(MAX_BLOCK_OBSERVATIONS, _affordable(covariance)))
 
 
 def own_covariances(covariance: JointCovariance, H: SparseRows, R: Array) -> Array:

@@ -27,11 +27,11 @@ from fej_slam_ros.core.records import NO_ID
 #: of maps of twelve landmarks, three in most.
 MIN_MATCHES = 5
 #: Largest ratio of the numbers of landmarks of the second-best hypothesis and of the best.
-MAX_RATIO = 0.5
+MAX_SECOND_BEST = 0.5
 #: Probability with which the distances, and the positions after the fit, of one landmark agree.
 MATCH_PROBABILITY = 0.999
 #: Landmarks that are closer to each other determine no heading [m].
-MIN_DISTANCE = 0.5
+MIN_LANDMARK_DISTANCE = 0.5
 #: Hypotheses that differ by less are the same [m], [rad].
 SAME_POSITION, SAME_HEADING = 0.5, 0.1
 #: Maximum number of landmarks of each frame, those observed last, of consistent pairs of
@@ -51,7 +51,7 @@ class _Map:
         """Return how far apart the landmarks are (n, n), and the variances of this."""
         d = self.points[:, None] - self.points
         distance = np.hypot(*d.transpose(2, 0, 1))
-        u = d / np.maximum(distance, MIN_DISTANCE)[:, :, None]
+        u = d / np.maximum(distance, MIN_LANDMARK_DISTANCE)[:, :, None]
         own = self.P[np.arange(len(d)), np.arange(len(d))]
         of_difference = own[:, None] + own - self.P - self.P.transpose(1, 0, 2, 3)
         return distance, np.einsum('ija,ijab,ijb->ij', u, of_difference, u)
@@ -103,7 +103,7 @@ def with_shared_landmarks(team: JointState, group: JointState) -> JointState | J
     best = found[0]
     others = (len(other.ours) for other in found[1:] if _differ(best, other, theirs.points))
     second = next(others, 0)
-    if second > MAX_RATIO * len(best.ours):
+    if second > MAX_SECOND_BEST * len(best.ours):
         return JoinFailure(
             f'{len(best.ours)} landmarks without ID fit another map, but {second} fit elsewhere,'
             ' too: they are symmetric or repeated')
@@ -134,7 +134,8 @@ def _consistent(ours: _Map, theirs: _Map) -> Indices:
     r2 = (D[:, None, :, None] - D_theirs[None, :, None, :]) ** 2
     agree: Flags = r2 <= limit * (
         variance[:, None, :, None] + variance_theirs[None, :, None, :])
-    agree &= (D > MIN_DISTANCE)[:, None, :, None] & (D_theirs > MIN_DISTANCE)[None, :, None, :]
+    agree &= (D > MIN_LANDMARK_DISTANCE)[:, None, :, None]
+    agree &= (D_theirs > MIN_LANDMARK_DISTANCE)[None, :, None, :]
     size = len(D) * len(D_theirs)
     edges = agree.reshape(size, size)
     # An assignment in a clique of k has k - 1 neighbours.

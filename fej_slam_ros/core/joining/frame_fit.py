@@ -24,7 +24,7 @@ FIT_TOLERANCE = 1e-10
 MAX_FIT_ITERATIONS = 50
 #: Points that are closer to each other than this, relative to their distance from the origin, are
 #: one place, which determines no heading.
-MIN_SPREAD = 1e-6
+MIN_RELATIVE_SPREAD = 1e-6
 
 Variables = Sequence[Variable]
 POSE_SIZE = 3
@@ -82,7 +82,7 @@ def determine_heading(
     if any(isinstance(variable, Robot) for variable in theirs):
         return True
     points = group.estimates_of(indices(theirs)).reshape(-1, 2)
-    return bool(np.ptp(points, axis=0).max() > MIN_SPREAD * np.abs(points).max())
+    return bool(np.ptp(points, axis=0).max() > MIN_RELATIVE_SPREAD * np.abs(points).max())
 
 
 def fit(

@@ -36,7 +36,7 @@ class Speeds(NamedTuple):
 
 
 #: Before the first increment a robot may be as fast as its limits allow.
-UNKNOWN = Speeds(math.inf, math.inf)
+UNKNOWN_SPEEDS = Speeds(math.inf, math.inf)
 
 
 def is_at_origin(record: Odometry) -> bool:

@@ -19,7 +19,7 @@ from fej_slam_ros.core.settings import RobotSettings
 
 #: Standard deviation of the heading [rad] beyond which the motion is unknown: half of the
 #: largest that the estimator linearises, for a covariance that is itself an estimate.
-MAX_HEADING_SIGMA = 0.15
+MAX_MISSED_TURN_SIGMA = 0.15
 
 
 def pose_text(record: Odometry) -> str:
@@ -58,7 +58,7 @@ def missed_motion(
         return f'{received}: too far from its origin for {duration:.1f} s'
     noise = missed * increment.Q
     sigma = float(np.sqrt(noise[2, 2]))
-    if sigma > MAX_HEADING_SIGMA:
+    if sigma > MAX_MISSED_TURN_SIGMA:
         return f'{received}: its heading has a standard deviation of {sigma:.2f} rad'
     P = _covariance(u, noise, max(distance, speed * duration))
     return Motion(first.robot, first.stamp, u, P)

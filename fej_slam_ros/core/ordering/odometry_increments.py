@@ -14,7 +14,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, interpolated, pose_rotation, wrap
 from fej_slam_ros.core.ordering.impossible_motion import (
-    impossible_motion, MIN_SPEED_BOUNDS, Speeds, speeds, UNKNOWN)
+    impossible_motion, MIN_SPEED_BOUNDS, Speeds, speeds, UNKNOWN_SPEEDS)
 from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings
 
@@ -60,7 +60,7 @@ def checked_increment(
     motion, dt = scaled_increment(earlier, later, settings), (later.stamp - earlier.stamp) / NS
     now = speeds(motion.u, dt)
     reason = impossible_motion(now, motion.Q, dt, later, before, settings)
-    return (replace(motion, impossible=reason), UNKNOWN) if reason else (motion, now)
+    return (replace(motion, impossible=reason), UNKNOWN_SPEEDS) if reason else (motion, now)
 
 
 def unknown_motion(dt: float, before: Speeds) -> tuple[Array, Array]:
@@ -92,7 +92,7 @@ class OdometryIncrements:
         self._begin: int | None = None
         self._end: Odometry | None = None
         self._rest: tuple[Array, Array] | None = None
-        self._speeds = UNKNOWN
+        self._speeds = UNKNOWN_SPEEDS
 
     def add(self, record: Odometry) -> None:
         """Insert a record by its stamp."""
@@ -163,4 +163,4 @@ class OdometryIncrements:
         """Forget the odometry, so that the next record is a first one."""
         self.waiting = []
         self.newest = self.first = self._begin = self._end = self._rest = None
-        self._speeds = UNKNOWN
+        self._speeds = UNKNOWN_SPEEDS

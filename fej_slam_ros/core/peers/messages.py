@@ -33,7 +33,7 @@ TITLE = b'FEJ' + _SCHEMA.to_bytes(4, 'little')
 #: Largest size of a message [bytes]: with the headers of DDS and UDP it fits into 1,500 bytes.
 MAX_SIZE = 1_300
 #: Largest size of the content of a block [bytes], beside three names of 64 bytes and 32 others.
-MAX_BLOCK = 1_047
+MAX_BLOCK_SIZE = 1_047
 
 _HELLO, _BLOCK = 1, 2
 _STAMP, _COUNT, _RUN = struct.Struct('<q'), struct.Struct('<I'), struct.Struct('<q')

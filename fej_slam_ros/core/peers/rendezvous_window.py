@@ -26,7 +26,7 @@ from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.blocks import (
     BadBlockError, decoded, encoded, MAX_STAMP, MAX_VALUE, Measurement)
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.messages import MAX_BLOCK
+from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE
 from fej_slam_ros.core.peers.team_logs import LogContents, TeamLogs
 from fej_slam_ros.core.peers.union import unsolved
 from fej_slam_ros.core.records import RobotScan, Scan
@@ -35,7 +35,7 @@ from fej_slam_ros.core.settings import Settings
 #: Maximum number of own observations in a message, spread over the last rendezvous.
 MAX_SENT = 8
 #: Largest number of poses in a message: all own observations, all of the other one, and the start.
-MAX_POSES = 2 * MAX_SENT + 1
+MAX_MESSAGE_POSES = 2 * MAX_SENT + 1
 #: Numbers of poses, of the row of the middle one and of the start, and size of the observations.
 _HEADER = struct.Struct('<HHHI')
 
@@ -81,7 +81,7 @@ def meeting_task(logs: TeamLogs, settings: Settings, peer: str) -> MeetingTask:
 
 def contents(message: bytes) -> list[bytes]:
     """Return a message as contents of blocks."""
-    return [message[k:k + MAX_BLOCK] for k in range(0, len(message), MAX_BLOCK)]
+    return [message[k:k + MAX_BLOCK_SIZE] for k in range(0, len(message), MAX_BLOCK_SIZE)]
 
 
 def meet(task: MeetingTask) -> Meeting | None:
@@ -139,7 +139,7 @@ def read(message: bytes, sender: str, receiver: str) -> WindowInformation | None
     count, middle, start, size = _HEADER.unpack_from(message)
     n = 3 * count - 3
     sizes = [8 * count, 24, 24 * count, 2 * n * (n + 1), size]
-    if not 0 < count <= MAX_POSES or max(middle, start) >= count or (
+    if not 0 < count <= MAX_MESSAGE_POSES or max(middle, start) >= count or (
             len(message) != _HEADER.size + sum(sizes)):
         raise BadBlockError('its size is not that of its content')
     ends = np.cumsum([_HEADER.size, *sizes]).tolist()

@@ -11,7 +11,7 @@ from fej_slam_ros.core.peers.blocks import (
     BadBlockError, decoded, encoded, Measurement, RestOfRobotScan, RestOfScan)
 from fej_slam_ros.core.peers.logs import (
     Block, Knowledge, Log, LogName, MAX_AHEAD, NO_DIGEST)
-from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
+from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE, Refusal, RefusedError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
@@ -224,9 +224,9 @@ class TeamLogs:
         """Close blocks while the pending measurements do not fit into one."""
         self._unchecked = 0
         while len(self._pending) > 1 and (
-                len(self._pending) >= MAX_RECORDS or len(encoded(self._pending)) > MAX_BLOCK):
+                len(self._pending) >= MAX_RECORDS or len(encoded(self._pending)) > MAX_BLOCK_SIZE):
             count = min(len(self._pending), MAX_RECORDS)
-            while count > 1 and len(encoded(self._pending[:count])) > MAX_BLOCK:
+            while count > 1 and len(encoded(self._pending[:count])) > MAX_BLOCK_SIZE:
                 count -= max(count // CHECK_EVERY, 1)
             self._close(count)
 

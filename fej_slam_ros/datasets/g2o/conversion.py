@@ -18,15 +18,13 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.records import (
-    NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan)
+    MAX_ID, NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
 from fej_slam_ros.errors import UserError
 
 #: Stamp of the first pose of each robot without stamps [ns].
 LOG_START = NS
-#: Largest landmark ID of a bag.
-MAX_ID = 2**31 - 1
 ORIGIN = (0.0, 0.0, 0.0)
 
 

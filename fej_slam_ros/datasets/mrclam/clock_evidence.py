@@ -27,7 +27,7 @@ MEETING_TIME = 10 * NS
 #: Number of meetings that tell, and of observations of one robot by another that are used.
 MIN_MEETINGS, MAX_OBSERVATIONS = 8, 500
 #: Maximum error by the right clock, relative to that by another.
-MAX_RATIO = 0.9
+MAX_ERROR_RATIO = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,7 @@ class ClockEvidence:
             return errors
         errors = [self._distance_error(drive) for drive in drives]
         best, second = [*sorted(errors), np.inf][:2]
-        return errors if best < MAX_RATIO * second else None
+        return errors if best < MAX_ERROR_RATIO * second else None
 
     def _turn_error(self, drive: ClockPart) -> float:
         """Return the mean error [rad] of turns between true poses; inf if these are too few."""

@@ -32,7 +32,7 @@ DELAY_WINDOW, GROWTH_WINDOW, HEADING_WINDOW = 0.2, 5.0, 20.0
 MAX_TURN_WINDOW = 60.0
 OWN_TURN_SIGMA = np.array([0.1, 0.1])
 #: Upper bound of the delay from a command to the motion [s].
-MAX_DELAY = 0.5
+MAX_MOTION_DELAY = 0.5
 #: Iterations of the reweighted least squares for the growth of errors, enough to converge.
 REWEIGHTINGS = 10
 
@@ -202,7 +202,7 @@ def _delay(data: MrclamSet, options: ConversionOptions) -> float:
         windows = increments(data, replace(options, motion_delay=delay), DELAY_WINDOW)
         return rms(windows.errors()[:, 2])
 
-    return float(minimize_scalar(error, bounds=(0.0, MAX_DELAY), options={'xatol': 1e-3}).x)
+    return float(minimize_scalar(error, bounds=(0.0, MAX_MOTION_DELAY), options={'xatol': 1e-3}).x)
 
 
 def _scale(data: MrclamSet, options: ConversionOptions) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from fej_slam_ros.experiments.andersson.experiment import Scene
 #: Share of the messages that the link loses, and period in which messages are sent [ns].
 LOSS, TICK = 0.2, NS // 10
 #: Longest time of an exchange, in periods.
-MAX_TICKS = 1000
+MAX_EXCHANGE_PERIODS = 1000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,7 +46,7 @@ def exchange(scene: Scene, seed: int) -> Exchanged | None:
         for name in names}
     meetings: dict[str, Meeting] = {}
     bytes_to_align = 0
-    for now in range(TICK, MAX_TICKS * TICK, TICK):
+    for now in range(TICK, MAX_EXCHANGE_PERIODS * TICK, TICK):
         _pass_on(robots, now, rng)
         for name, other in (names, names[::-1]):
             if name not in meetings and robots[name].in_reach(now):

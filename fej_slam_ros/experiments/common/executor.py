@@ -19,8 +19,8 @@ from typing import Any, TypeVar
 
 from fej_slam_ros.child_process import end_with_parent
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.interrupts import INTERRUPTS
 
-INTERRUPTS = {signal.SIGINT, signal.SIGTERM}
 #: Number of worker processes that may end during the same run before it is given up.
 MAX_ATTEMPTS = 3
 TaskT = TypeVar('TaskT')

@@ -8,9 +8,9 @@ import json
 from pathlib import Path
 
 from fej_slam_ros.atomic_files import write_json
+from fej_slam_ros.core.records import MAX_ID
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import OutputLock
-from fej_slam_ros.ros.messages.incoming import MAX_ID
 
 
 class IdsFile:

@@ -21,7 +21,7 @@ from fej_slam_ros.ros.session.outputs import MapEstimate
 #: Period of writing [s]: short, so that the thread never holds the interpreter for long.
 FLUSH_PERIOD = 0.1
 #: Maximum number of poses that wait in memory: 50 MB, or half an hour of five robots at 10 Hz.
-MAX_WAITING = 100_000
+MAX_WAITING_POSES = 100_000
 #: Time [s] after which a disk that takes nothing is an error.
 SLOW_AFTER = 5.0
 
@@ -74,7 +74,7 @@ class LiveFiles:
     def write(self, poses: Iterable[PoseEstimate]) -> None:
         """Append poses; they are lost, and counted, while too many wait."""
         for pose in poses:
-            if len(self._poses) < MAX_WAITING:
+            if len(self._poses) < MAX_WAITING_POSES:
                 self._poses.append(pose)
             else:
                 self._lost += 1

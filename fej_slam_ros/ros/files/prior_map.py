@@ -9,11 +9,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.records import NO_ID, PriorMap
+from fej_slam_ros.core.records import MAX_ID, NO_ID, PriorMap
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.csv_rows import LandmarkRow, read_landmark, SURVEY_COLUMNS
-from fej_slam_ros.ros.messages.incoming import MAX_COORDINATE, MAX_ID, MAX_VARIANCE, MIN_VARIANCE
+from fej_slam_ros.ros.messages.incoming import MAX_COORDINATE, MAX_VARIANCE, MIN_VARIANCE
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.tables import Cells
 

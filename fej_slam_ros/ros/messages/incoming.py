@@ -28,8 +28,8 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array, rotation
 from fej_slam_ros.core.records import (
-    NO_ID, Observation, Odometry, PosePrior, RobotObservation, RobotScan, Scan, TrueLandmarks,
-    TruePose)
+    MAX_ID, NO_ID, Observation, Odometry, PosePrior, RobotObservation, RobotScan, Scan,
+    TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import (
@@ -41,8 +41,6 @@ POINT = ('x', 'y')
 #: Values that the status of a robot has if its NIS is reported; so no status of another node is
 #: taken for one.
 NIS_KEYS = {'received', 'used', 'sightings_used', 'nis', 'nis_dof'}
-#: Largest ID: IDs are published as int32.
-MAX_ID = 2**31 - 1
 #: Largest coordinate of a pose or landmark [m], beyond any site; float64 resolves 0.1 um there.
 MAX_COORDINATE = 1e9
 #: Largest coordinate of an observation [m].
@@ -53,7 +51,7 @@ MIN_VARIANCE = 1e-12
 #: Largest variance [m^2, rad^2, or per s^2].
 MAX_VARIANCE = 1e12
 #: Block of a covariance that is unknown.
-UNKNOWN = [[0.0, 0.0, 0.0]] * 3
+UNKNOWN_COVARIANCE = [[0.0, 0.0, 0.0]] * 3
 #: Tolerance of a quaternion's squared norm, for senders that round.
 NORM_TOLERANCE = 1e-3
 #: Largest tilt of a robot [rad]; beyond it the planar model does not hold.
@@ -91,7 +89,7 @@ class StaticTransform(NamedTuple):
 def odometry(message: OdometryMessage, robot: str) -> Odometry:
     """Return odometry as a record; an all-zero twist covariance means unknown."""
     pose, covariance = _planar_pose(message.pose.pose), from_covariance(message.twist.covariance)
-    known = None if covariance.tolist() == UNKNOWN else checked_covariance(covariance)
+    known = None if covariance.tolist() == UNKNOWN_COVARIANCE else checked_covariance(covariance)
     return Odometry(robot, from_time(message.header.stamp), pose, known)
 
 

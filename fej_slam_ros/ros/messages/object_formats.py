@@ -30,7 +30,7 @@ from fej_slam_ros.ros.messages.incoming import (
 ORIGIN, UPRIGHT = Point(x=0.0, y=0.0, z=0.0), Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
 UNSET_POSE = Pose(position=ORIGIN, orientation=UPRIGHT)
 #: Smallest coordinate, of the three the largest, of an object in the frame of its sensor [m].
-MIN_DISTANCE = 0.01
+MIN_OBJECT_DISTANCE = 0.01
 
 
 class SensedObject(NamedTuple):
@@ -149,7 +149,7 @@ def detected(sensed: SensedObject) -> DetectedObject | RejectionReason:
     distance = np.abs(pose[:3, 3]).max()
     # A position of zero is one that has not been set.
     return (
-        DetectedObject(sensed.name, pose, P) if MIN_DISTANCE < distance < MAX_DISTANCE
+        DetectedObject(sensed.name, pose, P) if MIN_OBJECT_DISTANCE < distance < MAX_DISTANCE
         else RejectionReason.OUT_OF_RANGE)
 
 

@@ -38,7 +38,7 @@ TIME_PERIOD = 0.05
 MAX_TOPICS = 1000
 MAX_MESSAGE_SIZE = 4_000_000
 #: Maximum number of messages that wait for each client; the oldest are dropped.
-MAX_WAITING = 256
+MAX_WAITING_MESSAGES = 256
 #: Quality of service that adapts to the publishers.
 AS_OFFERED = QoSProfile(
     depth=100, reliability=QoSReliabilityPolicy.BEST_AVAILABLE,
@@ -179,7 +179,7 @@ def _serve(view: View, host: str, port: int) -> WebSocketServer:
     try:
         return foxglove.start_server(
             name='fej_slam_ros', host=host, port=port, capabilities=[Capability.Time],
-            server_listener=view, context=view.context, message_backlog_size=MAX_WAITING)
+            server_listener=view, context=view.context, message_backlog_size=MAX_WAITING_MESSAGES)
     except RuntimeError as error:
         raise UserError(
             f'cannot serve at {host}, port {port} ({error}): give another --host or --port'

@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 import re
 from zlib import crc32
 
-from fej_slam_ros.core.records import NO_ID
-from fej_slam_ros.ros.messages.incoming import MAX_ID
+from fej_slam_ros.core.records import MAX_ID, NO_ID
 
 #: Maximum number of names.
 MAX_NAMES = 10_000

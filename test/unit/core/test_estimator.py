@@ -566,7 +566,7 @@ def test_landmarks_that_an_ending_process_does_not_start_are_counted():
 
 
 def test_observations_that_an_ending_process_leaves_out_are_counted(monkeypatch):
-    for name in ('MAX_JOINT', 'MAX_BLOCK', 'MIN_BLOCK'):
+    for name in ('MAX_JOINT_OBSERVATIONS', 'MAX_BLOCK_OBSERVATIONS', 'MIN_BLOCK_OBSERVATIONS'):
         monkeypatch.setattr(block_update, name, 2)
     estimator = Estimator(team('r1'))
     for ms in (0, 100):

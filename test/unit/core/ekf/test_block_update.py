@@ -29,7 +29,7 @@ def known_map(kind, iterations, landmarks=24, noise=1.0, robots=2):
 
 def divided(monkeypatch, size):
     """Divide updates into blocks of a size."""
-    for name in ('MAX_JOINT', 'MAX_BLOCK', 'MIN_BLOCK'):
+    for name in ('MAX_JOINT_OBSERVATIONS', 'MAX_BLOCK_OBSERVATIONS', 'MIN_BLOCK_OBSERVATIONS'):
         monkeypatch.setattr(block_update, name, size)
 
 
@@ -128,9 +128,9 @@ def test_a_block_is_a_bounded_piece_of_work():
         n: block_update.block_size(SimpleNamespace(matrices=[SimpleNamespace(dimension=n)]))
         for n in (100, 3000, 10_000)}
 
-    assert sizes[100] == block_update.MAX_BLOCK
+    assert sizes[100] == block_update.MAX_BLOCK_OBSERVATIONS
     assert 2 * sizes[3000] * 3000 ** 2 <= block_update.PIECE_FLOPS
-    assert sizes[10_000] == block_update.MIN_BLOCK
+    assert sizes[10_000] == block_update.MIN_BLOCK_OBSERVATIONS
 
 
 def test_observations_of_few_landmarks_by_many_robots_are_one_update(monkeypatch):

@@ -7,7 +7,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.ordering.impossible_motion import (
-    impossible_motion, is_at_origin, Speeds, speeds, UNKNOWN)
+    impossible_motion, is_at_origin, Speeds, speeds, UNKNOWN_SPEEDS)
 from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import odometry
 
@@ -50,7 +50,7 @@ def test_odometry_that_begins_again_at_zero_is_no_motion_even_if_near():
     (0.0, 0.0, 0.1, Speeds(10.0, 0.0)),   # that hits a wall
     (0.4, 0.6, 0.02, Speeds(5.0, 8.0)),   # a fast robot that turns, at 50 Hz
     (0.5, 0.1, 1e-3, Speeds(5.0, 1.0)),   # 0.1 s of motion in a burst of messages
-    (4.0, 0.5, 0.1, UNKNOWN),             # the first increment
+    (4.0, 0.5, 0.1, UNKNOWN_SPEEDS),             # the first increment
     (60.0, 3.0, 60.0, AT_1_M_PER_S),      # after a gap of a minute
 ])
 def test_the_motion_of_a_ground_robot_is_possible(distance, turn, dt, before):

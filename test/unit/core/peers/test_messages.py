@@ -6,7 +6,7 @@ import pytest
 
 from fej_slam_ros.core.peers.logs import Block, Knowledge, LogName, NO_DIGEST
 from fej_slam_ros.core.peers.messages import (
-    BlockMessage, Hello, hellos, MAX_BLOCK, MAX_SIZE, read, Refusal, RefusedError, write)
+    BlockMessage, Hello, hellos, MAX_BLOCK_SIZE, MAX_SIZE, read, Refusal, RefusedError, write)
 
 HELLO = Hello('p', 5, 17, 3, (
     Knowledge(LogName('p'), 5, 12, b'abcdefgh', frozenset({14, 20, 267})),
@@ -39,7 +39,7 @@ def test_another_version_is_named():
 
 def test_a_block_of_full_size_fits_into_one_packet():
     # Names of robots have at most 64 characters.
-    block = Block(LogName('p' * 64, 'q' * 64), 2**60, 2**30, NO_DIGEST, bytes(MAX_BLOCK))
+    block = Block(LogName('p' * 64, 'q' * 64), 2**60, 2**30, NO_DIGEST, bytes(MAX_BLOCK_SIZE))
 
     message = write(BlockMessage('r' * 64, block))
 

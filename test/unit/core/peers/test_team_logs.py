@@ -10,7 +10,7 @@ import pytest
 from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.peers.blocks import encoded, RestOfScan
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.messages import MAX_BLOCK, Refusal, RefusedError
+from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE, Refusal, RefusedError
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.settings import NoiseSettings
@@ -98,7 +98,7 @@ def test_measurements_behind_a_missing_block_wait_for_it():
 def test_blocks_fit_into_a_packet_and_large_scans_become_one_again():
     sender, records = written(count=20, observations=100)
 
-    assert max(len(block.content) for block in blocks_of(sender)) <= MAX_BLOCK
+    assert max(len(block.content) for block in blocks_of(sender)) <= MAX_BLOCK_SIZE
     logs = receiver()
     for block in blocks_of(sender):
         logs.add(block)

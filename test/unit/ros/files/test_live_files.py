@@ -70,7 +70,7 @@ def test_a_disk_that_takes_nothing_delays_only_the_end(folder, stuck, monkeypatc
 
 
 def test_poses_beyond_the_bound_are_lost_and_counted(folder, stuck, monkeypatch):
-    monkeypatch.setattr(live_files, 'MAX_WAITING', 20)
+    monkeypatch.setattr(live_files, 'MAX_WAITING_POSES', 20)
     files = LiveFiles(RunFiles(folder, ['r1']))
 
     files.write(POSES)
