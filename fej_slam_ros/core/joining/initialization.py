@@ -83,6 +83,7 @@ def _joint_state(
     slots = iter(covariance.insert(solved.P).split(sizes))
     variables: list[Variable] = []
     first: list[Array] = []
+    observed = {name: dict(scan).keys() for name, scan in scans.items() if name in solved.poses}
     for name, x in solved.poses.items():
         robot = before.robots.get(name)
         variables.append(Robot(name, next(slots), stamp if robot is None else robot.stamp))
@@ -90,8 +91,7 @@ def _joint_state(
     for key, x in solved.points.items():
         landmark = before.landmarks.get(key)
         if landmark is None:
-            owner, *others = [
-                name for name in scans if name in solved.poses and key in dict(scans[name])]
+            owner, *others = [name for name, keys in observed.items() if key in keys]
             variables.append(
                 Landmark(key, next(slots), owner, stamp, is_reobserved=bool(others)))
         else:
