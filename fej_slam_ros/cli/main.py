@@ -92,31 +92,32 @@ def _run(command: str, verb: str, words: list[str]) -> int:
             status = _call(command, verb, words)
             sys.stdout.flush()
             return status
-    except UserError as error:
-        print(f'{command}: {error}', file=sys.stderr)
-        return 2 if isinstance(error, UsageError) else 1
     except BrokenPipeError:
         # Whoever reads the output, such as `head`, has ended; Python flushes it once more at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except OSError as error:
-        if error.errno == errno.ENAMETOOLONG:
-            print(
-                f'{command}: {error.filename} has a name that is too long: give a shorter path',
-                file=sys.stderr)
-            return 2
-        # Every other file is written by functions that name it.
-        if error.errno not in DISK_ERRORS:
-            raise
-        where = error.filename or 'to the standard output or a temporary file'
-        print(f'{command}: {disk_error(where, error)}', file=sys.stderr)
-        return 1
-    except ModuleNotFoundError as error:
-        cure = MISSING_MODULES.get((error.name or '').partition('.')[0], NO_ROS)
-        print(f'{command}: the Python module {error.name} is missing: {cure}', file=sys.stderr)
-        return 1
     except KeyboardInterrupt:
         return 0 if verb in UNTIL_INTERRUPTED else INTERRUPTED
+    except (UserError, OSError, ModuleNotFoundError) as error:
+        sentence, status = _explained(error)
+        print(f'{command}: {sentence}', file=sys.stderr)
+        return status
+
+
+def _explained(error: UserError | OSError | ModuleNotFoundError) -> tuple[str, int]:
+    """Return the sentence and the exit status of an error; raise one without a known cure."""
+    if isinstance(error, UserError):
+        return str(error), 2 if isinstance(error, UsageError) else 1
+    if isinstance(error, ModuleNotFoundError):
+        cure = MISSING_MODULES.get((error.name or '').partition('.')[0], NO_ROS)
+        return f'the Python module {error.name} is missing: {cure}', 1
+    if error.errno == errno.ENAMETOOLONG:
+        return f'{error.filename} has a name that is too long: give a shorter path', 2
+    # Every other file is written by functions that name it.
+    if error.errno not in DISK_ERRORS:
+        raise error
+    where = error.filename or 'to the standard output or a temporary file'
+    return str(disk_error(where, error)), 1
 
 
 def _end() -> None:

@@ -150,9 +150,7 @@ class Estimator:
         if isinstance(record, (Odometry, Scan, RobotScan)):
             return self.sequencer.add(record, received)
         if record.robot not in self.robots:
-            self.statistics.reject(
-                Rejection(record.robot, record.stamp, RejectionReason.UNKNOWN_ROBOT))
-            return RejectionReason.UNKNOWN_ROBOT
+            return self.statistics.reject_record(record, RejectionReason.UNKNOWN_ROBOT)
         if isinstance(record, PosePrior):
             rejected = self._joiner.pose_priors.add(record)
             if rejected is not None:

@@ -114,9 +114,7 @@ class TeamSmoother:
             return None
         self.statistics.received[record.robot] += 1
         if isinstance(record, (PosePrior, TruePose)) and record.robot not in self.robots:
-            self.statistics.reject(
-                Rejection(record.robot, record.stamp, RejectionReason.UNKNOWN_ROBOT))
-            return RejectionReason.UNKNOWN_ROBOT
+            return self.statistics.reject_record(record, RejectionReason.UNKNOWN_ROBOT)
         if isinstance(record, PosePrior):
             rejected = self._pose_priors.add(record)
             if rejected is not None:
@@ -128,9 +126,7 @@ class TeamSmoother:
             return None
         covariance = record.twist_covariance if isinstance(record, Odometry) else None
         if covariance is not None and not is_definite(covariance):
-            self.statistics.reject(
-                Rejection(record.robot, record.stamp, RejectionReason.BAD_COVARIANCE))
-            return RejectionReason.BAD_COVARIANCE
+            return self.statistics.reject_record(record, RejectionReason.BAD_COVARIANCE)
         return self._sequencer.add(record, received)
 
     @property
@@ -337,11 +333,13 @@ class TeamSmoother:
         if prior.is_too_uncertain():
             self.statistics.count_restart(prior.robot, 'its pose is not known')
             trajectory.lose(self._stamp, observations)
-        elif trajectory.frame == MAP:
-            self.statistics.count_restart(prior.robot, 'a pose was given')
-            trajectory.place(self._stamp, prior.pose, prior.P, observations)
-            self.new_measurements += 1
-        return prior.is_too_uncertain() or trajectory.frame == MAP
+            return True
+        if trajectory.frame != MAP:
+            return False
+        self.statistics.count_restart(prior.robot, 'a pose was given')
+        trajectory.place(self._stamp, prior.pose, prior.P, observations)
+        self.new_measurements += 1
+        return True
 
     def _reject_priors(self, priors: Iterable[PosePrior]) -> None:
         """Reject poses in ``map`` of a robot for which it is not known where that is."""

@@ -4,6 +4,7 @@
 
 from collections import Counter, defaultdict, deque
 
+from fej_slam_ros.core.records import AnyScan, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 #: Maximum number of rejections that wait to be published, a few hundred kB; older ones are counted
@@ -49,6 +50,13 @@ class InputStatistics:
         """Count the rejection of an observation that is counted as used."""
         self.observations_used[rejection.robot] -= 1
         self.reject(rejection)
+
+    def reject_record(
+        self, record: Odometry | AnyScan | TruePose | PosePrior, reason: RejectionReason
+    ) -> RejectionReason:
+        """Count the rejection of a record that is counted as received; return the reason."""
+        self.reject(Rejection(record.robot, record.stamp, reason))
+        return reason
 
     def reject_message(self, robot: str, stamp: int, reason: RejectionReason) -> None:
         """Count a message of a stamp [ns] as received and rejected."""

@@ -7,7 +7,7 @@ A block is a sequence of columns of one type each, as these compress better than
 the first bytes of all numbers before their second ones.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain, islice
 from typing import Any
@@ -105,21 +105,29 @@ def decoded(block: bytes, robot: str) -> list[Measurement]:
     _require(min(ids, default=0) >= 0)
     names = _names(text)
     _require(max(indices, default=-1) < len(names))
-    covariances, rows = iter(Q), iter(poses)
     observations: Iterator[Any] = chain(
         (Observation(*of) for of in zip(ids, z, R)),
         (RobotObservation(names[k], *of) for k, *of in zip(indices, z[m:], R[m:])))
     by_scan = [tuple(islice(observations, size)) for size in sizes]
-    of_landmarks, of_robots = iter(by_scan[:scans]), iter(by_scan[scans:])
+    return _records(
+        robot, zip(kinds.tolist(), stamps.tolist()), iter(by_scan[:scans]), iter(by_scan[scans:]),
+        iter(poses), iter(Q))
+
+
+def _records(
+    robot: str, events: Iterable[tuple[int, int]], landmark_scans: Iterator[Any],
+    robot_scans: Iterator[Any], poses: Iterator[Array], covariances: Iterator[Array],
+) -> list[Measurement]:
+    """Return the records of events (kind, stamp), each with the next content of its kind."""
     records: list[Measurement] = []
-    for kind, stamp in zip(kinds.tolist(), stamps.tolist()):
+    for kind, stamp in events:
         if kind in _SCANS:
-            records.append(_SCANS[kind](robot, stamp, next(of_landmarks)))
+            records.append(_SCANS[kind](robot, stamp, next(landmark_scans)))
         elif kind in _ROBOT_SCANS:
-            records.append(_ROBOT_SCANS[kind](robot, stamp, next(of_robots)))
+            records.append(_ROBOT_SCANS[kind](robot, stamp, next(robot_scans)))
         else:
             covariance = next(covariances) if kind == _WITH_COVARIANCE else None
-            records.append(Odometry(robot, stamp, next(rows), covariance))
+            records.append(Odometry(robot, stamp, next(poses), covariance))
     return records
 
 

@@ -25,7 +25,7 @@ from fej_slam_ros.core.peers.rendezvous_window import contents, Meeting
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import UnionTask
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
-from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
@@ -156,13 +156,9 @@ class PeerSmoother(TeamSmoother):
         self.statistics.received[record.robot] += 1
         known = identity(record)
         if self._robot_scans.contains(known):
-            self.statistics.reject(
-                Rejection(record.robot, record.stamp, RejectionReason.DUPLICATE))
-            return RejectionReason.DUPLICATE
+            return self.statistics.reject_record(record, RejectionReason.DUPLICATE)
         if len(record.observations) > self.settings.max_observations:
-            self.statistics.reject(
-                Rejection(record.robot, record.stamp, RejectionReason.TOO_LARGE))
-            return RejectionReason.TOO_LARGE
+            return self.statistics.reject_record(record, RejectionReason.TOO_LARGE)
         self._robot_scans.add(known, lambda stamp: True)
         self.observed.update(o.observed for o in record.observations)
         self.new_measurements += len(record.observations)

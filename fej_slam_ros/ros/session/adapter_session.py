@@ -3,7 +3,7 @@
 """One run of the adapter, live or from a bag: poses of tags and other objects in, scans out."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 import re
 
 import numpy as np
@@ -290,38 +290,45 @@ class AdapterSession:
             self._counts[robot or UNKNOWN_ROBOT][f'rejected_{reason.value}'] += count
 
     def _warning(self, name: str, counts: Counter[str]) -> str:
-        """Return what users have to know of a robot, '' if all is well."""
-        frames = [
-            origin.frame for origin in (*self._queue.waiting(), *self._queue.dropped)
-            if self._reported(origin) == name]
-        rejected = sum(n for key, n in counts.items() if key.startswith('rejected_'))
-        if frames and name == UNKNOWN_ROBOT:
-            return (
-                f'the frame {frames[0]!r} is of no robot, or which one is not known from odometry'
-                ' and static transforms: begin it with the name of the robot, or publish on'
-                ' <robot>/tf')
+        """Return the sentence on the most serious condition of a robot, '' if all is well."""
+        origins = [*self._queue.waiting(), *self._queue.dropped]
+        frames = [origin.frame for origin in origins if self._reported(origin) == name]
         if frames:
-            return (
-                f'no static transform from the frame {frames[0]!r} to the base frame: publish it'
-                f' on /tf_static, or set {name}.sensor_pose')
+            return _unknown_pose(name, frames[0])
         if self._ids.conflicts:
             return (
                 f'{len(self._ids.conflicts)} names have no ID of their own, such as'
                 f' {min(self._ids.conflicts)!r}: give them IDs in ids_file')
-        if name != UNKNOWN_ROBOT and not counts['messages'] and counts['ignored']:
+        if name != UNKNOWN_ROBOT and not counts['messages']:
+            return self._why_no_messages(name, counts, origins)
+        is_rejected = any(n for key, n in counts.items() if key.startswith('rejected_'))
+        used = counts['landmarks'] + counts['robots']
+        return 'all detections are rejected' if is_rejected and not used else ''
+
+    def _why_no_messages(
+        self, name: str, counts: Counter[str], origins: Sequence[Origin]
+    ) -> str:
+        """Return why no message of a robot was used."""
+        if counts['ignored']:
             return (
                 "no object has a name that matches the parameter 'names', for example"
                 f' {self._ignored[name]!r}')
-        if name != UNKNOWN_ROBOT and not counts['messages'] and any(
-                not self._queue.owner(origin)
-                for origin in (*self._queue.waiting(), *self._queue.dropped)):
+        if not all(map(self._queue.owner, origins)):
             return f'no detections that are known to be its own, see {UNKNOWN_ROBOT}'
-        if name != UNKNOWN_ROBOT and not counts['messages']:
-            topics = ', '.join(topic for topic in self._formats if topic.startswith(f'{name}/'))
-            return f'no detections: publish them on {topics or "/tf"}'
-        if rejected and not counts['landmarks'] + counts['robots']:
-            return 'all detections are rejected'
-        return ''
+        topics = ', '.join(topic for topic in self._formats if topic.startswith(f'{name}/'))
+        return f'no detections: publish them on {topics or "/tf"}'
+
+
+def _unknown_pose(name: str, frame: str) -> str:
+    """Return the sentence on a sensor whose robot, or whose pose on its robot, is unknown."""
+    if name == UNKNOWN_ROBOT:
+        return (
+            f'the frame {frame!r} is of no robot, or which one is not known from odometry'
+            ' and static transforms: begin it with the name of the robot, or publish on'
+            ' <robot>/tf')
+    return (
+        f'no static transform from the frame {frame!r} to the base frame: publish it'
+        f' on /tf_static, or set {name}.sensor_pose')
 
 
 def _stacked(observations: list[PlanarObservation]) -> tuple[Array, Array]:
