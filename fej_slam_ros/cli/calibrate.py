@@ -29,7 +29,7 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
-    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, WINDOW)
+    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, ERROR_WINDOW)
 from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, MAX_ERROR, OdometryErrors)
 from fej_slam_ros.core.ground_truth import RecordedTruth
@@ -178,7 +178,7 @@ def _estimate(
     if arguments.source == 'truth' and not errors:
         raise UserError(
             f'{arguments.bag} has no ground truth that covers an observation or'
-            f' {WINDOW / NS:g} s of odometry: leave out --from truth')
+            f' {ERROR_WINDOW / NS:g} s of odometry: leave out --from truth')
     estimates = {
         kind: ScaleEstimate('truth', noise_scales(samples, DOF[kind]))
         for kind, samples in errors.items()}

@@ -31,7 +31,7 @@ MIN_CORRELATION_EIGENVALUE = 1e-12
 
 def nees(errors: Array, P: Array) -> Array:
     """
-    Return e^T P^-1 e, whose mean is d for a consistent estimate, eq. (25).
+    Return NEES, e^T P^-1 e, whose mean is d for a consistent estimate; eq. (25) is NEES/d.
 
     Parameters
     ----------

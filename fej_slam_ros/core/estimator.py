@@ -305,7 +305,7 @@ class Estimator:
         associated, associations = [], []
         for scan in scans:
             if scan.robot in group.robots:
-                known = self._quarantine.allowed(
+                known = self._quarantine.restrict_suspected(
                     group, self.landmark_manager.associate(group.filter, self._matcher, scan))
                 for observation in known.doubtful:
                     self.statistics.reject_observation(Rejection(

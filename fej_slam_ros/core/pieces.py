@@ -4,7 +4,8 @@
 Long computations in pieces, between which a live node serves other robots.
 
 Steps of a large map or with many observations take seconds. They are computed in pieces of about
-0.1 s and call `pause` between them; whoever runs the steps may handle odometry there, or end them.
+20 ms, copies of large matrices of up to 0.1 s. Between two pieces `pause` lets the caller handle
+odometry, or end the computation.
 """
 
 from collections.abc import Callable, Iterator

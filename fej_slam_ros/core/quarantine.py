@@ -101,8 +101,14 @@ class Quarantine:
                 self._lost_robots.restart(robot)
                 self._restart(robot, stamp, reason)
 
-    def allowed(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
-        """Return a scan, of a robot that may be lost only the observations of known landmarks."""
+    def restrict_suspected(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
+        """
+        Return a scan, restricted to known landmarks if its robot may be lost.
+
+        Of a scan with too few of them to check the pose, none is kept. What is left out is
+        rejected.
+
+        """
         robot, parts = scan.with_ids.robot, (scan.with_ids, scan.associated)
         if not self._lost_robots.is_suspected(robot):
             return scan

@@ -33,11 +33,11 @@ from fej_slam_ros.core.settings import NoiseSettings, Settings
 DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 
 #: Length [ns] of the window of an error, and the longest one between sparse true poses.
-WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
+ERROR_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
 
 #: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
 #: against that of an observation.
-NEAR = NS // 4
+MAX_TRUTH_GAP = NS // 4
 
 #: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
 #: tails of real noise, and so give factors that are too small.
@@ -149,7 +149,7 @@ def _odometry_errors(
         G = models.G(x[2])
         Phi = models.Phi(G[:2, :2] @ u[:2])
         x, P = compose(x, u), Phi @ P @ Phi.T + G @ Q @ G.T
-        if later.stamp - begin.stamp >= WINDOW and truth.covers(
+        if later.stamp - begin.stamp >= ERROR_WINDOW and truth.covers(
                 later.robot, later.stamp):
             if is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
@@ -172,7 +172,8 @@ class NearTruth:
         if true is not None:
             return true
         after = bisect_left(self._isolated, stamp)
-        near = [s for s in self._isolated[max(after - 1, 0):after + 1] if abs(s - stamp) <= NEAR]
+        nearest = self._isolated[max(after - 1, 0):after + 1]
+        near = [s for s in nearest if abs(s - stamp) <= MAX_TRUTH_GAP]
         if not near:
             return None
         known = min(near, key=lambda s: abs(s - stamp))
@@ -233,7 +234,7 @@ def _in_windows(errors: Sequence[ObservationError]) -> Iterator[float]:
         if d2 > limit:
             continue
         of_observed = windows[error.observed]
-        if not of_observed or error.stamp - of_observed[-1][0].stamp >= WINDOW:
+        if not of_observed or error.stamp - of_observed[-1][0].stamp >= ERROR_WINDOW:
             of_observed.append([])
         of_observed[-1].append(error)
     for window in chain.from_iterable(windows.values()):

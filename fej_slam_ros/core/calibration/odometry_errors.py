@@ -22,26 +22,30 @@ from fej_slam_ros.core.geometry import Array, Flags, Indices, poses_at, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry, Scan
 
-#: Time between two true poses, at least and at most, and between two observations of a landmark
-#: at most [ns].
-TRUTH_TIME, MAX_TRUTH_TIME, LANDMARK_TIME = 5 * NS, 10 * NS, 3 * NS
-#: Minimum number of pairs of either.
-MIN_PAIRS = 60
-#: Odometry without errors: scale of distances, scale of turns, turn rate at rest [rad/s].
+#: Minimum and maximum time between the two true poses of a pair [ns].
+MIN_TRUTH_TIME, MAX_TRUTH_TIME = 5 * NS, 10 * NS
+#: Maximum time between the two observations of a landmark [ns].
+MAX_LANDMARK_TIME = 3 * NS
+#: Minimum number of pairs, of true poses or of observations.
+MIN_FIT_PAIRS = 60
+#: Odometry without systematic errors: scale of distances, scale of turns, turn bias [rad/s].
 NO_ERRORS = np.array([1.0, 1.0, 0.0])
-#: Standard deviations of these errors before any data: what the motion does not determine stays.
+#: Prior standard deviations of these; they keep a value at NO_ERRORS that the data leave open.
 PRIOR_SIGMA = np.array([0.1, 0.1, 0.05])
-#: Largest standard error of an error that is used, and the smallest error that matters.
-MAX_SIGMA, MIN_ERROR = np.array([0.02, 0.02, 0.002]), np.array([0.005, 0.005, 0.0005])
-#: Time [ns] within which the residuals of pairs depend on each other, as they share odometry, and
-#: minimum number of such times with pairs.
+#: A value is determined if its standard error is below this.
+MAX_STANDARD_ERROR = np.array([0.02, 0.02, 0.002])
+#: A determined value is an error if it differs from NO_ERRORS by more than this, and by more than
+#: MIN_SIGMAS standard errors.
+MIN_ERROR, MIN_SIGMAS = np.array([0.005, 0.005, 0.0005]), 4.0
+#: Largest difference from NO_ERRORS that is searched.
+MAX_ERROR = 3.0 * PRIOR_SIGMA
+#: Length [ns] of the blocks within which residuals count as dependent, since pairs share odometry,
+#: and minimum number of blocks.
 BLOCK_TIME, MIN_BLOCKS = 10 * NS, 10
-#: Number of standard errors that an error must have, and the largest errors that are looked for.
-MIN_SIGMAS, MAX_ERROR = 4.0, 3.0 * PRIOR_SIGMA
-#: Standard deviation over the median magnitude of normal errors.
-OF_MEDIAN = 1.4826
+#: Standard deviation of a normal distribution, divided by the median of its magnitudes.
+SIGMA_PER_MEDIAN = 1.4826
 
-#: Residuals (n,) of errors (3,).
+#: Returns the residuals (n,) for values (3,) of the errors.
 Residuals = Callable[[Array], Array]
 
 
@@ -49,10 +53,10 @@ Residuals = Callable[[Array], Array]
 class OdometryErrors:
     """Systematic errors of odometry: the scales of distances and turns, and the turn bias."""
 
-    values: Array  #: (3,) array; those given where the data do not determine them
-    sigma: Array  #: (3,) array, their standard errors if there may be all three
-    is_known: Flags  #: (3,) array, whether the data determine each, an error or that there is none
-    is_at_limit: bool  #: whether one is as large as is looked for, so that it is not known
+    values: Array  #: (3,) array; the given values where the data do not determine them
+    sigma: Array  #: (3,) array, standard errors of a fit of all three
+    is_known: Flags  #: (3,) array, whether the data determine the value, perhaps as NO_ERRORS
+    is_at_limit: bool  #: whether a value reached MAX_ERROR and is therefore not used
     pairs: int  #: number of pairs of true poses or of observations
 
 
@@ -77,14 +81,14 @@ def fit_to_truth(
     stamps: list[tuple[int, int]] = []
     begin: int | None = None
     for stamp in known.tolist():
-        if begin is not None and stamp - begin < TRUTH_TIME:
+        if begin is not None and stamp - begin < MIN_TRUTH_TIME:
             continue
         if truth.covers(odometry[0].robot, stamp):
             # Over a gap the heading may have turned by more than half a turn.
             if begin is not None and stamp - begin <= MAX_TRUTH_TIME:
                 stamps.append((begin, stamp))
             begin = stamp
-    if len(stamps) < MIN_PAIRS:
+    if len(stamps) < MIN_FIT_PAIRS:
         return None
     firsts, lasts = np.array(stamps, np.int64).T
     (_, before), (_, after) = (
@@ -100,7 +104,7 @@ def fit_to_truth(
 
     # Metres and radians are made comparable by what remains with the errors of a first fit.
     first = _least(lambda values: errors(values).ravel(), NO_ERRORS, np.ones(3, bool))
-    spread = OF_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
+    spread = SIGMA_PER_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
     return _significant(
         lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), firsts, given)
 
@@ -121,8 +125,9 @@ def fit_to_landmarks(
     The errors, None if too few landmarks are observed again.
 
     """
-    pairs = observation_pairs(odometry, scans, LANDMARK_TIME)
-    if len(pairs.sigma) < MIN_PAIRS or len(np.unique(pairs.stamps[0] // BLOCK_TIME)) < MIN_BLOCKS:
+    pairs = observation_pairs(odometry, scans, MAX_LANDMARK_TIME)
+    blocks = np.unique(pairs.stamps[0] // BLOCK_TIME)
+    if len(pairs.sigma) < MIN_FIT_PAIRS or len(blocks) < MIN_BLOCKS:
         return None
     at_base = np.zeros(3)
 
@@ -173,14 +178,14 @@ def _significant(
     is_known, is_at_limit = np.ones(3, bool), False
     while True:
         fit = _least(residuals, fixed, free)
-        scatter = OF_MEDIAN * float(np.median(np.abs(residuals(fit.x))))
+        scatter = SIGMA_PER_MEDIAN * float(np.median(np.abs(residuals(fit.x))))
         P = np.linalg.inv(fit.information)
         of_independent = np.sqrt(np.diag(P)) * max(scatter, 1e-12)
         sigma = np.maximum(of_independent, np.sqrt(np.diag(P @ fit.scatter(block) @ P)))
         of_all = sigma if free.all() else of_all
         error = np.abs(fit.x - NO_ERRORS)
         at_limit = error > 0.99 * MAX_ERROR
-        known = (sigma < MAX_SIGMA) & ~at_limit
+        known = (sigma < MAX_STANDARD_ERROR) & ~at_limit
         shown = known & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
         hidden = np.flatnonzero(free & ~shown)
         if not len(hidden):
@@ -189,7 +194,7 @@ def _significant(
         k = hidden[-1]
         free[k], is_known[k] = False, known[k]
         fixed[k] = NO_ERRORS[k] if known[k] else given[k]
-        is_at_limit |= bool(at_limit[k] and of_independent[k] < MAX_SIGMA[k])
+        is_at_limit |= bool(at_limit[k] and of_independent[k] < MAX_STANDARD_ERROR[k])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,11 +25,11 @@ Stamps = NDArray[np.int64]
 #: Time between the two observations of a pair [ns]: odometry is still exact.
 PAIR_TIME = 3 * NS // 2
 #: Longest time [ns] and distance [m] in which a landmark without ID is followed.
-MAX_STEP_TIME, MAX_STEP = NS // 2, 0.4
+MAX_FOLLOW_TIME, MAX_FOLLOW_DISTANCE = NS // 2, 0.4
 #: Minimum number of pairs, and the largest number that is used.
-MIN_PAIRS, MAX_PAIRS = 60, 2_000
+MIN_OBSERVATION_PAIRS, MAX_OBSERVATION_PAIRS = 60, 2_000
 #: Error of odometry between the observations of a pair [m].
-ODOMETRY_SIGMA = 0.02
+PAIR_ODOMETRY_SIGMA = 0.02
 #: Smallest mean square change of a difference by such an error that determines a pose.
 MIN_WEIGHT = 0.1
 #: Scale of the errors of a pose (m, m, rad), and the weight of a pair below which the motion does
@@ -74,7 +74,7 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
 
     """
     pairs = observation_pairs(odometry, scans, PAIR_TIME)
-    if len(pairs.sigma) < MIN_PAIRS:
+    if len(pairs.sigma) < MIN_OBSERVATION_PAIRS:
         return None
     given = pairs.at_odometry(0.0)
     pose, none = given.fitted(), np.zeros(3)
@@ -124,7 +124,7 @@ def _identified(scans: Sequence[Scan]) -> Iterator[_Identified]:
         known = {s.id: s for s in scan.observations if s.id != NO_ID}
         unknown = [s for s in scan.observations if s.id == NO_ID]
         points = np.array([s.z for s in unknown]).reshape(-1, 2)
-        if scan.stamp - last > MAX_STEP_TIME:
+        if scan.stamp - last > MAX_FOLLOW_TIME:
             before, identities = np.empty((0, 2)), []
         found = _followed(before, points)
         identities = [next(new_identities) if k is None else identities[k] for k in found]
@@ -142,7 +142,7 @@ def _followed(before: Array, points: Array) -> list[int | None]:
     distances = np.hypot(*(points[:, None] - before).transpose(2, 0, 1))
     nearest, back = distances.argmin(axis=1), distances.argmin(axis=0)
     return [
-        int(k) if back[k] == index and distances[index, k] < MAX_STEP else None
+        int(k) if back[k] == index and distances[index, k] < MAX_FOLLOW_DISTANCE else None
         for index, k in enumerate(nearest)]
 
 
@@ -168,12 +168,12 @@ class ObservationPairs:
             for k, scan in enumerate(scans)
             for other in [scans[int(np.searchsorted(times, scan.stamp + apart, 'right')) - 1]]
             if other.stamp > scan.stamp for id_ in scan.z.keys() & other.z.keys()]
-        rows = rows[::max(1, len(rows) // MAX_PAIRS)]
+        rows = rows[::max(1, len(rows) // MAX_OBSERVATION_PAIRS)]
         stamps = np.array([row[:2] for row in rows], np.int64).reshape(-1, 2).T
         variances = np.array([row[4] for row in rows])
         return cls(
             stamps, np.array([row[2:4] for row in rows]).reshape(-1, 2, 2).transpose(1, 0, 2),
-            np.sqrt(variances + ODOMETRY_SIGMA**2), known, poses)
+            np.sqrt(variances + PAIR_ODOMETRY_SIGMA**2), known, poses)
 
     def mirrored(self) -> 'ObservationPairs':
         """Return the pairs with left and right exchanged."""

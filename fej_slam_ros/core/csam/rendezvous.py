@@ -16,7 +16,7 @@ from fej_slam_ros.core.records import NS, RendezvousKey
 #: Observations per outlier that may be left out; with fewer, outliers cannot be identified.
 MIN_PER_OUTLIER = 10
 #: Longest time [ns] without observations within one rendezvous.
-MAX_PAUSE = 20 * NS
+MAX_RENDEZVOUS_PAUSE = 20 * NS
 
 #: Largest increment of a coordinate [m, rad] at a minimum that is tested; those of the result are
 #: exact.
@@ -107,7 +107,7 @@ def rendezvous_of(maps: Sequence[LocalMap], measurements: Measurements) -> list[
     for m in measurements:
         one, other = sorted((m.observer, m.observed), key=names.index)
         sessions = pairs.setdefault((one, other), [])
-        if not sessions or m.stamp - sessions[-1][-1].stamp > MAX_PAUSE:
+        if not sessions or m.stamp - sessions[-1][-1].stamp > MAX_RENDEZVOUS_PAUSE:
             sessions.append([])
         sessions[-1].append(m)
     for p, q in combinations(maps, 2):

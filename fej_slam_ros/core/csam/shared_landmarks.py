@@ -27,7 +27,7 @@ MAX_ALIGNMENT_SIGMA = 0.1
 #: Steps of the alignment with full covariances, from that with their traces.
 ALIGNMENT_STEPS = 5
 #: Minimum and maximum number of pairs of maps from which the noise between maps is estimated.
-MIN_PAIRS, MAX_PAIRS = 3, 15
+MIN_MAP_PAIRS, MAX_MAP_PAIRS = 3, 15
 
 
 class LandmarkAlignment(NamedTuple):
@@ -106,14 +106,14 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
     less than three pairs.
 
     """
-    if len(maps) < MIN_PAIRS:
+    if len(maps) < MIN_MAP_PAIRS:
         return 1.0
     aligned = (
         (pair, align_by_landmarks(maps[pair[0]], maps[pair[1]], min_shared))
         for pair in _pairs(len(maps)))
     found = [*islice(
-        ((pair, of) for pair, of in aligned if isinstance(of, LandmarkAlignment)), MAX_PAIRS)]
-    if len(found) < MIN_PAIRS:
+        ((pair, of) for pair, of in aligned if isinstance(of, LandmarkAlignment)), MAX_MAP_PAIRS)]
+    if len(found) < MIN_MAP_PAIRS:
         return 1.0
     factors: defaultdict[int, list[float]] = defaultdict(list)
     for pair, of in found:

@@ -29,7 +29,7 @@ MAX_PAIR_D2 = float(chdtri(2, 1e-6))
 
 #: Maximum number of candidate pairs of a scan; with more, all of them are ambiguous. Bounds time
 #: and memory of the search.
-MAX_PAIRS = 200
+MAX_CANDIDATE_PAIRS = 200
 
 #: Indices of an observation and of a landmark.
 Pair = tuple[int, int]
@@ -59,7 +59,7 @@ class CandidatePairs:
     max_gain: Array  #: (k,) array, upper bound of the gain whatever other pairs are accepted
     r: Array  #: (2 k,) array, the innovations, all x before all y
     #: (2 k, 2 k) array, their joint covariance; meaningless between pairs of one observation, and
-    #: empty of more than `MAX_PAIRS` pairs
+    #: empty of more than `MAX_CANDIDATE_PAIRS` pairs
     S: Array
 
     def __len__(self) -> int:
@@ -139,7 +139,7 @@ def candidate_pairs(
     observations: Sequence[Observation], landmarks: Sequence[Landmark], log_odds: Array,
 ) -> CandidatePairs:
     """
-    Return all pairs within MAX_PAIR_D2; of more than `MAX_PAIRS`, without their covariance.
+    Return all pairs within MAX_PAIR_D2; above `MAX_CANDIDATE_PAIRS` without their covariance.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def candidate_pairs(
     is_candidate = squared_distances(r[i, f], HPH[f_near] + R[i]) < MAX_PAIR_D2
     i, f = i[is_candidate], f[is_candidate]
     noise = 0.5 * np.log(np.linalg.det(R))[i]
-    if len(i) > MAX_PAIRS:
+    if len(i) > MAX_CANDIDATE_PAIRS:
         return CandidatePairs(
             i, f, log_odds[f], noise, log_odds[f], r[i, f].T.ravel(), np.empty((0, 0)))
     pairs = CandidatePairs(

@@ -9,10 +9,8 @@ others that pass, the landmark.
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 
-from scipy.special import chdtri
-
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
+from fej_slam_ros.core.ekf.gating import Association, CONTRADICTION_D2, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState, Landmark, MovedLandmarkEvidence, Robot
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -33,10 +31,6 @@ PROBATION = 20
 
 #: Minimum number of other landmarks in a scan by which the robot's pose is checked.
 MIN_OTHERS = 2
-
-#: Squared distance beyond which an observation is evidence of a moved landmark: one correct
-#: observation in 1e9. The gate is not enough: in an uncertain map all of a visit fail it together.
-MOVED_LANDMARK_D2 = float(chdtri(2, 1e-9))
 
 #: The gate's results on the scans of an update, by robot.
 Scans = Mapping[str, ScanGateStatistics]
@@ -174,7 +168,7 @@ def remove_contradicted(
         observer, observed, _ = gated.association
         is_robot_suspected = observer.name in scans and scans[observer.name].mostly_failed()
         if (isinstance(observed, Landmark) and not observed.is_reobserved
-                and gated.d2 > MOVED_LANDMARK_D2 and not is_robot_suspected
+                and gated.d2 > CONTRADICTION_D2 and not is_robot_suspected
                 and observed.key in state.landmarks):
             contradicted[observed.key] = observed
     state.remove_all([*contradicted.values()])
@@ -205,7 +199,7 @@ def report(state: JointState, innovation: Innovation, scans: Scans) -> None:
     passed = _of_landmarks(a for a in innovation.used if a.observer.name not in failed)
     rejected = _of_landmarks(gated.association for gated in innovation.rejected)
     suspects = _of_landmarks(
-        gated.association for gated in innovation.rejected if gated.d2 > MOVED_LANDMARK_D2)
+        gated.association for gated in innovation.rejected if gated.d2 > CONTRADICTION_D2)
     for robot, landmark in suspects:
         if _pose_is_confirmed(robot, landmark, passed, rejected):
             landmark.moved_evidence = landmark.moved_evidence or MovedLandmarkEvidence()

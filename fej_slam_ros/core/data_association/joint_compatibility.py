@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core.data_association.candidate_pairs import (
-    candidate_pairs, CandidatePairs, MAX_PAIRS, Pair)
+    candidate_pairs, CandidatePairs, MAX_CANDIDATE_PAIRS, Pair)
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
 from fej_slam_ros.core.geometry import Array
@@ -113,7 +113,7 @@ class JointCompatibilityMatcher:
 
 def unambiguous_pairs(pairs: CandidatePairs) -> list[Pair]:
     """Return the pairs of the best hypothesis that no likely other one contradicts, in order."""
-    if len(pairs) > MAX_PAIRS:
+    if len(pairs) > MAX_CANDIDATE_PAIRS:
         return []
     hypotheses = [completed(Hypothesis(), pairs)]
     best = hypotheses[0]

@@ -43,14 +43,14 @@ class Innovation(NamedTuple):
     used: Sequence[Association]  #: the observations of the update, in its order
     #: (2 m,) array, their whitened innovation in this order: standard normal if all is consistent
     y: Array
-    rejected: Sequence[GatedObservation] = ()  #: observations that failed the gate
+    rejected: Sequence[GatedObservation] = ()  #: observations that are not used, see GateResult
     #: observations that failed the gate and were used with inflated noise
     inflated: Sequence[GatedObservation] = ()
     log_det: float = 0.0  #: log det S
     interrupted: Sequence[Association] = ()  #: observations left out as the process is to end
 
     def after(self, gated: GateResult) -> 'Innovation':
-        """Return the result including what the gate rejected and inflated before."""
+        """Return the result with the observations rejected and inflated before."""
         return self._replace(
             rejected=[*gated.rejected, *self.rejected],
             inflated=[*gated.inflated, *self.inflated])

@@ -24,9 +24,9 @@ MEDIAN_D2 = float(chdtri(2, 0.5))
 MIN_KNOWN = 3
 MIN_TRUSTED = 2
 
-#: Squared distance beyond which an observation contradicts the estimate: one correct observation
-#: in 1e9. The gate is not enough: where an overconfident robot closes a loop, whole scans fail it.
-MIN_SUSPECT_D2 = float(chdtri(2, 1e-9))
+#: Squared distance beyond which an observation contradicts the map: one correct observation in
+#: 1e9. The gate alone is not enough: where an overconfident robot closes a loop, whole scans fail.
+CONTRADICTION_D2 = float(chdtri(2, 1e-9))
 
 #: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60
@@ -48,26 +48,27 @@ class RobotAssociation(Association):
 
 
 class GatedObservation(NamedTuple):
-    """An observation that failed the gate: its squared Mahalanobis distance and the limit."""
+    """A rejected or inflated observation: its squared Mahalanobis distance and the limit."""
 
     association: Association
     d2: float
     threshold: float
 
     def passed(self) -> bool:
-        """Return whether the observation passed, but most of its scan did not."""
+        """Return whether it passed the gate itself, so that only its scan is suspected."""
         return self.d2 <= self.threshold
 
     def contradicts(self) -> bool:
         """Return whether the observation contradicts the estimate."""
-        return self.d2 > max(self.threshold, MIN_SUSPECT_D2)
+        return self.d2 > max(self.threshold, CONTRADICTION_D2)
 
 
 class GateResult(NamedTuple):
     """Result of the gate on the observations of an update."""
 
     accepted: Sequence[Association]  #: observations to be used, with the noise to be used
-    rejected: Sequence[GatedObservation] = ()  #: observations that failed
+    #: observations that failed, and all those of and by suspected robots
+    rejected: Sequence[GatedObservation] = ()
     #: observations among the accepted ones that passed with inflated noise only
     inflated: Sequence[GatedObservation] = ()
 
@@ -177,7 +178,7 @@ class Gate:
 
     def _suspected(self, observations: Sequence[Association], d2: Array) -> list[str]:
         """Return the robots whose scans mostly failed."""
-        failed = (d2 > max(self.threshold, MIN_SUSPECT_D2)).tolist()
+        failed = (d2 > max(self.threshold, CONTRADICTION_D2)).tolist()
         statistics = scan_gate_statistics(zip(observations, failed))
         return [name for name, scan in statistics.items() if scan.mostly_failed()]
 

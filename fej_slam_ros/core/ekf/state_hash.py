@@ -12,7 +12,7 @@ from fej_slam_ros.core.ekf.state import JointState, Variable
 from fej_slam_ros.core.pieces import pause
 
 #: Number of rows of the covariance in a piece: 5 MB at 2,500 landmarks.
-ROWS = 128
+ROWS_PER_PIECE = 128
 
 
 def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
@@ -49,6 +49,6 @@ def state_hash(frames: Mapping[str, JointState], robots: Sequence[str]) -> str:
             slots = [variable.slot for variable in variables]
             for number, row in enumerate(lower_rows(state.covariance, slots)):
                 digest.update(row.tobytes())
-                if number % ROWS == ROWS - 1:
+                if number % ROWS_PER_PIECE == ROWS_PER_PIECE - 1:
                     pause()
     return digest.hexdigest()

@@ -36,7 +36,7 @@ MIN_LANDMARK_DISTANCE = 0.5
 SAME_POSITION, SAME_HEADING = 0.5, 0.1
 #: Maximum number of landmarks of each frame, those observed last, of consistent pairs of
 #: assignments, and of cliques; these bound the time to 0.1 s. Random maps have 1,000 pairs.
-MAX_LANDMARKS, MAX_PAIRS, MAX_CLIQUES = 40, 20_000, 500
+MAX_COMPARED_LANDMARKS, MAX_CONSISTENT_PAIRS, MAX_CLIQUES = 40, 20_000, 500
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,8 +91,8 @@ def with_shared_landmarks(team: JointState, group: JointState) -> JointState | J
     ours, theirs = _map(team, without_id[0]), _map(group, without_id[1])
     pairs = _consistent(ours, theirs)
     cliques = [*islice(find_cliques(Graph(pairs.tolist())), MAX_CLIQUES)] if (
-        len(pairs) <= MAX_PAIRS) else []
-    if len(pairs) > MAX_PAIRS or len(cliques) == MAX_CLIQUES:
+        len(pairs) <= MAX_CONSISTENT_PAIRS) else []
+    if len(pairs) > MAX_CONSISTENT_PAIRS or len(cliques) == MAX_CLIQUES:
         return JoinFailure('its landmarks without ID are too much alike: symmetric or repeated')
     found = sorted(
         _hypotheses(ours, theirs, cliques), key=lambda hypothesis: -len(hypothesis.ours))
@@ -117,7 +117,7 @@ def _latest_without_id(state: JointState, other: JointState) -> list[Landmark]:
     landmarks = [
         landmark for landmark in state.confirmed_landmarks()
         if landmark.key[1] < NO_ID and landmark.key not in other.landmarks]
-    return sorted(landmarks, key=lambda landmark: landmark.last_accepted)[-MAX_LANDMARKS:]
+    return sorted(landmarks, key=lambda landmark: landmark.last_accepted)[-MAX_COMPARED_LANDMARKS:]
 
 
 def _map(state: JointState, landmarks: Sequence[Landmark]) -> _Map:

@@ -29,14 +29,15 @@ from fej_slam_ros.core.joining.frame_fit import (
     carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables,
     Variables)
 from fej_slam_ros.core.joining.outlying_landmarks import (
-    outlying_landmarks, unconfirmed_landmark)
+    outlying_landmarks, single_observation_failure)
 from fej_slam_ros.core.joining.rendezvous import marginalize
 from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
 
 
-#: Landmarks but one that was observed once may determine the heading less well by this factor.
-UNCONFIRMED_FACTOR = 2.0
+#: Without a landmark that was observed once, the others may determine the heading this many times
+#: less well.
+SINGLE_OBSERVATION_FACTOR = 2.0
 
 
 class MapJoiner:
@@ -110,8 +111,8 @@ class MapJoiner:
             return JoinFailure(
                 f'{shared} determine the heading to {sigma:.2f} rad only, needs'
                 f' {self._max_heading_sigma}')
-        return unconfirmed_landmark(
-            team.state, local, UNCONFIRMED_FACTOR * self._max_heading_sigma)
+        return single_observation_failure(
+            team.state, local, SINGLE_OBSERVATION_FACTOR * self._max_heading_sigma)
 
     def apply_pose_prior(
         self, team: Filter, group: Filter, name: str, pose: Array, P: Array

@@ -20,12 +20,12 @@ from fej_slam_ros.core.joining.frame_fit import (
 from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 
-#: Numbers of shared variables between which a single landmark may determine the heading alone; of
-#: fewer, none confirms another.
-MIN_CONFIRMING, MAX_DOUBTFUL = 3, 8
-#: Squared Mahalanobis distance above which these contradict one that was observed once: a correct
-#: one exceeds it with probability 1e-3, and is started again by the next observation.
-UNCONFIRMED_D2 = float(chdtri(2, 1e-3))
+#: Numbers of shared variables between which a landmark that was observed once must not decide the
+#: join: fewer cannot confirm it, more do not depend on it.
+MIN_SHARED, MAX_SHARED = 3, 8
+#: Squared Mahalanobis distance from the others beyond which such a landmark is removed; a correct
+#: one exceeds it with probability 1e-3, and its next observation starts it again.
+SINGLE_OBSERVATION_D2 = float(chdtri(2, 1e-3))
 
 
 def outlying_landmarks(
@@ -79,7 +79,7 @@ def _increases_of_chi2(
     return [float(e[own] @ np.linalg.solve(S_e[own, own], e[own])) for own in pairs]
 
 
-def unconfirmed_landmark(
+def single_observation_failure(
     team: JointState, group: JointState, max_heading_sigma: float
 ) -> JoinFailure | None:
     """
@@ -90,9 +90,9 @@ def unconfirmed_landmark(
 
     """
     ours, theirs = shared_variables(team, group)
-    if not MIN_CONFIRMING <= len(ours) <= MAX_DOUBTFUL:
+    if not MIN_SHARED <= len(ours) <= MAX_SHARED:
         return None
-    worst, largest = None, UNCONFIRMED_D2
+    worst, largest = None, SINGLE_OBSERVATION_D2
     for our, their in zip(ours, theirs):
         if not isinstance(our, Landmark) or not isinstance(their, Landmark) or (
                 our.is_reobserved and their.is_reobserved):

@@ -20,22 +20,23 @@ from fej_slam_ros.core.records import NS
 Stamps = NDArray[np.int64]
 #: Steps back up to this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
-#: Share of the rows of a regular log that a time holds at least, and at most if it holds some; a
-#: time that is passed twice holds two times as many.
+#: Number of rows in a span of stamps, relative to a regular log: with fewer than MIN_DENSITY the
+#: span has a gap, with more than MAX_DENSITY (and at least MIN_ROWS rows) it was passed twice.
 MIN_DENSITY, MAX_DENSITY, MIN_ROWS = 0.5, 1.5, 4
-#: Number of rows of the mean rate for the rate just before and after.
+#: Minimum length, in rows at the mean rate, of the windows before and after a step back whose
+#: rates are compared.
 NEARBY_ROWS = 20
-#: Number of changes between rows before and after a step back, sorted, above which these mix: a
-#: block that fills a gap makes three, and disorder at its ends a few more.
+#: Largest number of alternations, in the order of stamps, between rows recorded before and after a
+#: step back that late rows explain: a block that fills a gap causes three, disorder a few more.
 MAX_CHANGES = 6
 #: Maximum number of parts into which a log is divided; more are disorder of another kind.
 MAX_PARTS = 100
-#: Longer steps, relative to the median one, are gaps and do not count for the rate.
+#: Steps longer than this multiple of the median step are gaps; the mean rate leaves them out.
 GAP_STEPS = 10.0
-#: Maximum number of periods between two rows of a regular log that follow each other.
+#: Maximum number of periods between two successive rows of a regular log.
 MAX_PERIODS = 3.0
-#: Number of successive jumps, among which are those of two blocks in the wrong order: three, and a
-#: step of the clock.
+#: Number of successive jumps searched for two swapped blocks, which cause three; a step of the
+#: clock may add one.
 MAX_JUMPS = 4
 
 
@@ -109,7 +110,7 @@ def _changes(stamps: Stamps, row: int, order: Indices, step: float) -> float:
     """
     Return how often rows before and after a step back alternate in the order of stamps.
 
-    That is inf if they leave a gap, and more than the most that is late if they are too dense.
+    It is inf if the rows leave a gap, and above `MAX_CHANGES` if the stamps pass the time twice.
     """
     def rows_between(low: float, high: float) -> Indices:
         begin = np.searchsorted(stamps, low, 'right', sorter=order)

@@ -16,10 +16,10 @@ from fej_slam_ros.core.settings import RobotSettings
 
 #: Odometry this close to its origin [m, rad] belongs to a robot that has not moved yet.
 AT_ORIGIN = (0.01, 0.01)
-#: A robot may have been faster than now by this factor, and at least as fast as these bounds
-#: [m/s, rad/s].
-MIN_SPEED_BOUNDS = (1.0, 1.0)
+#: A motion is plausible if it is at most this many times as fast as a neighbouring one, or slower
+#: than these bounds [m/s, rad/s].
 MAX_SPEED_RATIO = 3.0
+MIN_SPEED_BOUNDS = (1.0, 1.0)
 #: Largest acceleration [m/s^2]: that of a collision; brakes and motors reach a tenth.
 MAX_ACCELERATION = 100.0
 #: Error of a stamp [s]: of drivers that stamp messages when these are sent, in bursts.

@@ -19,7 +19,7 @@ import numpy as np
 from fej_slam_ros.core.csam.base_node import (
     align, Alignment, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, MAX_PAUSE
+from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, MAX_RENDEZVOUS_PAUSE
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -167,7 +167,7 @@ def _observations(measurements: Sequence[Measurement], peer: str) -> list[RobotS
             (m for m in measurements if isinstance(m, RobotScan)), key=lambda m: m.stamp):
         observations = tuple(o for o in scan.observations if o.observed == peer)
         if observations:
-            if scans and scan.stamp - scans[-1].stamp > MAX_PAUSE:
+            if scans and scan.stamp - scans[-1].stamp > MAX_RENDEZVOUS_PAUSE:
                 scans.clear()
             scans.append(replace(scan, observations=observations))
     chosen = np.unique(np.linspace(0, len(scans) - 1, min(len(scans), MAX_SENT)).round())

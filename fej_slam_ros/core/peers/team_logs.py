@@ -18,13 +18,13 @@ from fej_slam_ros.core.settings import NoiseSettings
 #: Maximum number of records of a block, so that its content stays below the size that is read, and
 #: of observations of a record in it: a larger scan is divided, and becomes one again where it is
 #: used.
-MAX_RECORDS, MAX_OBSERVATIONS = 64, 8
+MAX_BLOCK_RECORDS, MAX_BLOCK_OBSERVATIONS = 64, 8
 #: Maximum number of blocks of rendezvous information.
 MAX_INFORMATION = 16
 #: Standard deviations of odometry and of landmarks, the three scales of noise, and the systematic
 #: errors of `NoiseSettings`.
 _NOISE = struct.Struct('<11d')
-MAX_SIGMA = 1e6
+MAX_NOISE = 1e6
 #: Number of records after which the size of the block is computed.
 CHECK_EVERY = 8
 
@@ -82,7 +82,7 @@ class TeamLogs:
         for part in _divided(measurement):
             self._pending.append(part)
             self._unchecked += 1
-            if self._unchecked >= CHECK_EVERY or len(self._pending) >= MAX_RECORDS:
+            if self._unchecked >= CHECK_EVERY or len(self._pending) >= MAX_BLOCK_RECORDS:
                 self._close_full_blocks()
 
     def flush(self) -> None:
@@ -224,8 +224,9 @@ class TeamLogs:
         """Close blocks while the pending measurements do not fit into one."""
         self._unchecked = 0
         while len(self._pending) > 1 and (
-                len(self._pending) >= MAX_RECORDS or len(encoded(self._pending)) > MAX_BLOCK_SIZE):
-            count = min(len(self._pending), MAX_RECORDS)
+                len(self._pending) >= MAX_BLOCK_RECORDS
+                or len(encoded(self._pending)) > MAX_BLOCK_SIZE):
+            count = min(len(self._pending), MAX_BLOCK_RECORDS)
             while count > 1 and len(encoded(self._pending[:count])) > MAX_BLOCK_SIZE:
                 count -= max(count // CHECK_EVERY, 1)
             self._close(count)
@@ -252,12 +253,13 @@ def _checked_content(block: Block) -> NoiseSettings | list[Measurement]:
 
 def _divided(measurement: Measurement) -> Iterator[Measurement]:
     """Yield a measurement, or a large scan in parts that fit into blocks."""
-    if isinstance(measurement, Odometry) or len(measurement.observations) <= MAX_OBSERVATIONS:
+    if isinstance(measurement, Odometry) or (
+            len(measurement.observations) <= MAX_BLOCK_OBSERVATIONS):
         yield measurement
         return
     robot, stamp = measurement.robot, measurement.stamp
-    for k in range(0, len(measurement.observations), MAX_OBSERVATIONS):
-        part = slice(k, k + MAX_OBSERVATIONS)
+    for k in range(0, len(measurement.observations), MAX_BLOCK_OBSERVATIONS):
+        part = slice(k, k + MAX_BLOCK_OBSERVATIONS)
         if isinstance(measurement, RobotScan):
             of_robots = RestOfRobotScan if k else RobotScan
             yield of_robots(robot, stamp, measurement.observations[part])
@@ -297,7 +299,7 @@ def _read_noise(content: bytes) -> NoiseSettings:
     if len(content) != _NOISE.size:
         raise BadBlockError('its size is not that of noise')
     *positive, bias = _NOISE.unpack(content)
-    if not (all(0.0 < value < MAX_SIGMA for value in positive) and abs(bias) < MAX_SIGMA):
+    if not (all(0.0 < value < MAX_NOISE for value in positive) and abs(bias) < MAX_NOISE):
         raise BadBlockError('noise is positive and finite')
     x, y, phi, z_x, z_y, *scales, distance, turn = positive
     return NoiseSettings(

@@ -25,13 +25,14 @@ from fej_slam_ros.core.smoothing.least_squares import (
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 
-#: Value of `solve_every` of a smoother that does not solve by itself.
+#: Value of `solve_every` with which the smoother never solves by itself.
 NEVER = sys.maxsize
-#: Default number of poses with observations between full solutions, and the share of all of them
-#: that may be unsolved: the time of all solutions is then proportional to that of the last one.
+#: Default number of poses with observations between full solutions.
 SOLVE_EVERY = 100
-UNSOLVED_SHARE = 10
-#: Largest increment at the end of a solution that is due [m, rad]; the next one goes on there.
+#: A solution is due when one in this many poses with observations is unsolved, so that the total
+#: time of all solutions is proportional to that of the last one.
+UNSOLVED_ONE_IN = 10
+#: Tolerance of such a solution [m, rad]; the next one starts from it.
 DUE_TOLERANCE = 1e-4
 
 
@@ -250,7 +251,7 @@ class IncrementalSmoother:
         """Return whether so many poses with observations are not in the last full solution."""
         observed = len(self._observed_from)
         unsolved = observed - bisect_left(self._observed_from, len(self._solved.poses))
-        return unsolved >= max(self._solve_every, observed // UNSOLVED_SHARE)
+        return unsolved >= max(self._solve_every, observed // UNSOLVED_ONE_IN)
 
     def _continue_from(self, values: Values, near: NearMarginal) -> None:
         self._solved, self._poses = values, []

@@ -27,11 +27,11 @@ from fej_slam_ros.core.smoothing.marginals import Information
 #: Number of landmarks nearest to a pose that the filter continues with. When it has twice as many
 #: it forgets the others. One that is observed again starts anew: that ignores what was known of
 #: it, and counts nothing twice.
-MAX_LANDMARKS = 100
+MAX_FILTER_LANDMARKS = 100
 #: Gauss-Newton iterations of an update.
-ITERATIONS = 3
+UPDATE_ITERATIONS = 3
 #: Name of the robot in the state of the filter, which has no other.
-ROBOT = 'robot'
+FILTER_ROBOT = 'robot'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,7 +57,7 @@ class NearMarginal:
 
         """
         away = values.points[landmarks] - values.poses[pose, :2]
-        near = np.sort(np.argsort(np.hypot(*away.T), kind='stable')[:MAX_LANDMARKS])
+        near = np.sort(np.argsort(np.hypot(*away.T), kind='stable')[:MAX_FILTER_LANDMARKS])
         return cls(near, information.joint([pose], landmarks[near].tolist()))
 
     def turned(self, C: Array) -> 'NearMarginal':
@@ -93,7 +93,7 @@ class NewestPose:
 
     @property
     def _robot(self) -> Robot:
-        return self._filter.state.robots[ROBOT]
+        return self._filter.state.robots[FILTER_ROBOT]
 
     @property
     def x(self) -> Array:
@@ -112,7 +112,7 @@ class NewestPose:
 
     def add(self, u: Array, Q: Array, observations: Sequence[Observation]) -> None:
         """Move by u (3,) with covariance Q (3, 3); use the observations from the new pose."""
-        self._filter.predict(Motion(ROBOT, self._robot.stamp + 1, u, Q))
+        self._filter.predict(Motion(FILTER_ROBOT, self._robot.stamp + 1, u, Q))
         self.observe(observations)
 
     def observe(self, observations: Sequence[Observation]) -> None:
@@ -122,7 +122,7 @@ class NewestPose:
             return
         self._forget_distant()
         associations = self._filter.start_landmarks(
-            [Scan(ROBOT, self._robot.stamp, tuple(observations))])
+            [Scan(FILTER_ROBOT, self._robot.stamp, tuple(observations))])
         try:
             self._filter.update(associations)
         except ArithmeticError as error:
@@ -133,10 +133,10 @@ class NewestPose:
     def _forget_distant(self) -> None:
         state = self._filter.state
         landmarks = [*state.landmarks.values()]
-        if len(landmarks) > 2 * MAX_LANDMARKS:
+        if len(landmarks) > 2 * MAX_FILTER_LANDMARKS:
             points, _ = landmark_estimates(state, landmarks)
             order = np.argsort(np.hypot(*(points - self.x[:2]).T), kind='stable')
-            state.remove_all([landmarks[k] for k in order[MAX_LANDMARKS:].tolist()])
+            state.remove_all([landmarks[k] for k in order[MAX_FILTER_LANDMARKS:].tolist()])
 
 
 def _filter(pose: Array, ids: Sequence[int], points: Array, near: NearMarginal) -> Filter:
@@ -144,7 +144,8 @@ def _filter(pose: Array, ids: Sequence[int], points: Array, near: NearMarginal) 
     covariance = Covariance()
     slot, *slots = covariance.insert(near.P).split([3] + [2] * len(near.landmarks))
     landmarks = [
-        Landmark(('', ids[k]), of, ROBOT, 0) for k, of in zip(near.landmarks.tolist(), slots)]
+        Landmark(('', ids[k]), of, FILTER_ROBOT, 0)
+        for k, of in zip(near.landmarks.tolist(), slots)]
     x = np.concatenate([pose, points[near.landmarks].ravel()])
-    state = JointState([Robot(ROBOT, slot, 0), *landmarks], x, x.copy(), covariance)
-    return Filter(state, Invariant(), Gate(1.0), iterations=ITERATIONS)
+    state = JointState([Robot(FILTER_ROBOT, slot, 0), *landmarks], x, x.copy(), covariance)
+    return Filter(state, Invariant(), Gate(1.0), iterations=UPDATE_ITERATIONS)

@@ -26,7 +26,7 @@ from fej_slam_ros.core.models import Phi_all
 
 #: Rows and columns of the elements of a symmetric matrix (3, 3), and the element at each place.
 #: Arithmetic on one element of all matrices is an order faster than on one matrix after another.
-ROWS, COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
+ELEMENT_ROWS, ELEMENT_COLUMNS = np.array([0, 0, 1, 0, 1, 2]), np.array([0, 1, 1, 2, 2, 2])
 POSITIONS = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 
 #: Number of factors at which a part of the chains ends: arrays of more leave the cache between
@@ -257,7 +257,7 @@ class ReducedChains:
 
 def _packed(P: Array) -> Array:
     """Return the elements xx, xy, yy, x phi, y phi, phi phi (6, m) of covariances (m, 3, 3)."""
-    return np.ascontiguousarray(P[:, ROWS, COLUMNS].T)
+    return np.ascontiguousarray(P[:, ELEMENT_ROWS, ELEMENT_COLUMNS].T)
 
 
 def _unpacked(elements: Array) -> Array:

@@ -28,7 +28,7 @@ from fej_slam_ros.ros.session.outputs import (
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
 #: Maximum number of objects in a message.
-MAX_OBJECTS = 2_000
+MAX_MESSAGE_OBJECTS = 2_000
 #: Name in reports of what is on topics of the team and of an unknown robot.
 UNKNOWN_ROBOT = 'unknown robot'
 
@@ -178,7 +178,7 @@ class AdapterSession:
                 given.position, given.orientation)
             if sensed.header.stamp.nanosec >= NS:
                 raise incoming.RejectedError(RejectionReason.BAD_STAMP)
-            if len(sensed.objects) > MAX_OBJECTS:
+            if len(sensed.objects) > MAX_MESSAGE_OBJECTS:
                 raise incoming.RejectedError(RejectionReason.TOO_LARGE)
         except incoming.RejectedError as rejected:
             self._reject(robot, rejected.reason)

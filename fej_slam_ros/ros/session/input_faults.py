@@ -17,7 +17,7 @@ from typing import NamedTuple
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_health import (
-    InputHealth, MIN_OBSERVATIONS, RATE_WINDOW, TopicFlow)
+    InputHealth, MIN_GATE_SAMPLE, RATE_WINDOW, TopicFlow)
 from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
 #: Topics of observations of a robot, by the last part of their names.
@@ -226,7 +226,7 @@ def _beyond_limits(of: RobotInput) -> Iterator[Fault]:
 
 def _mostly_gated(of: RobotInput) -> Iterator[Fault]:
     gated, total = of.health.robots[of.robot].gated()
-    if total >= MIN_OBSERVATIONS and gated > GATED_WARN * total:
+    if total >= MIN_GATE_SAMPLE and gated > GATED_WARN * total:
         level = Level.ERROR if gated > GATED_ERROR * total else Level.WARN
         yield Fault(level, (
             f'{gated} of the last {total} observations gated: check pose and frame of the sensor,'

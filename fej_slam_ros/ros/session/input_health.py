@@ -28,7 +28,7 @@ MAX_NOTES = 1000
 RATE_WINDOW = 5 * NS
 #: Minimum number of observations by which the rate of gated ones is judged; a scan or two that
 #: fail are no condition.
-MIN_OBSERVATIONS = 10
+MIN_GATE_SAMPLE = 10
 #: Observations older than this [ns] no longer tell the present state.
 OBSERVATION_WINDOW = 30 * NS
 
@@ -176,7 +176,7 @@ class RobotHealth:
         if new.total():
             self._gate.append(new)
         while self._gate and (
-            self._total() - self._gate[0].total() >= MIN_OBSERVATIONS
+            self._total() - self._gate[0].total() >= MIN_GATE_SAMPLE
             or new.time - self._gate[0].time > OBSERVATION_WINDOW
         ):
             self._gate.popleft()

@@ -14,7 +14,7 @@ from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
 #: Maximum number of scans of a frame that wait, of such frames, and of objects in all of them.
-MAX_WAITING, MAX_FRAMES, MAX_OBJECTS = 1_000, 100, 50_000
+MAX_SCANS_PER_FRAME, MAX_WAITING_FRAMES, MAX_WAITING_OBJECTS = 1_000, 100, 50_000
 #: Frame in counts of scans of further frames.
 OTHER_FRAMES = 'others'
 
@@ -64,9 +64,9 @@ class ObjectQueue:
         """Add a scan; if too many wait, the oldest one of the oldest frame is dropped."""
         self._waiting.setdefault(origin, deque()).append(scan)
         self._objects += len(scan.objects)
-        if len(self._waiting[origin]) > MAX_WAITING:
+        if len(self._waiting[origin]) > MAX_SCANS_PER_FRAME:
             self._drop(origin)
-        while self._objects > MAX_OBJECTS or len(self._waiting) > MAX_FRAMES:
+        while self._objects > MAX_WAITING_OBJECTS or len(self._waiting) > MAX_WAITING_FRAMES:
             self._drop(next(iter(self._waiting)))
 
     def take(self) -> Iterator[tuple[str, Array, ObjectScan]]:
@@ -128,6 +128,6 @@ class ObjectQueue:
 
     def _drop(self, origin: Origin) -> None:
         self._pop(origin)
-        if origin not in self.dropped and len(self.dropped) >= MAX_FRAMES:
+        if origin not in self.dropped and len(self.dropped) >= MAX_WAITING_FRAMES:
             origin = origin._replace(frame=OTHER_FRAMES)
         self.dropped[origin] += 1

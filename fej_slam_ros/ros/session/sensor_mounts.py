@@ -11,7 +11,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.ros.messages.incoming import StaticTransform
 
 #: Maximum number of frames stored per topic; the description of a robot has fewer than 200 links.
-MAX_FRAMES = 10_000
+MAX_STATIC_FRAMES = 10_000
 #: Maximum number of links from a sensor to the base; ends the search in a loop of transforms.
 MAX_LINKS = 100
 
@@ -26,7 +26,7 @@ class SensorMounts:
         """Store transforms; a newer one of the same child frame replaces the older."""
         links = self._links.setdefault(topic, {})
         for transform in transforms:
-            if transform.child in links or len(links) < MAX_FRAMES:
+            if transform.child in links or len(links) < MAX_STATIC_FRAMES:
                 links[transform.child] = transform.parent, transform.pose
 
     def pose(

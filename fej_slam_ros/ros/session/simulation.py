@@ -20,11 +20,11 @@ from fej_slam_ros.ros.parameters import (
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
-POSITIVE = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
+SIMULATED_NUMBER = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
 AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
 THREE_SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-6 <= x <= 1e6)
 TWO_SIGMAS = replace(THREE_SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
-LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), POSITIVE.allowed)
+LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), SIMULATED_NUMBER.allowed)
 FRACTION = Kind('a number from 0 to 0.9', float, allowed=lambda x: 0.0 <= x <= 0.9)
 COORDINATES = Kind('a list of numbers', float, (None,), lambda x: abs(x) <= 1e6)
 BEAMS = Kind('an integer from 16 to 20000', int, allowed=lambda n: 16 <= n <= 20_000)
@@ -45,7 +45,7 @@ PARAMETERS = {
     'steps_per_loop': Parameter(AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
     'loop_lengths': Parameter(
         LENGTHS, 'lengths of the loops of robots 1, 3, ... and 2, 4, ...', 'm', OF_ENVIRONMENT),
-    'rate': Parameter(POSITIVE, 'steps per second of simulated time', 'Hz', '5.0'),
+    'rate': Parameter(SIMULATED_NUMBER, 'steps per second of simulated time', 'Hz', '5.0'),
     'start': Parameter(
         POSE, 'initial pose of the first robot in map', 'm, m, rad', '[0, 0, 0]'),
     'odometry_sigma': Parameter(
@@ -63,9 +63,9 @@ PARAMETERS = {
         TWO_SIGMAS, 'standard deviations of range and bearing of two robots that meet', 'm, rad',
         OF_ENVIRONMENT),
     'range': Parameter(
-        POSITIVE, 'maximum range of observations', 'm', OF_ENVIRONMENT),
+        SIMULATED_NUMBER, 'maximum range of observations', 'm', OF_ENVIRONMENT),
     'field_of_view': Parameter(
-        POSITIVE, 'full angle of the field of view, centred straight ahead', 'rad',
+        SIMULATED_NUMBER, 'full angle of the field of view, centred straight ahead', 'rad',
         OF_ENVIRONMENT),
     'identities': Parameter(FLAG, 'observations carry landmark IDs', '', 'true'),
     'clutter': Parameter(
@@ -81,20 +81,20 @@ PARAMETERS = {
     'people': Parameter(SEED_NUMBER, 'number of people who walk through the room', '', '2'),
     'beams': Parameter(BEAMS, 'number of beams of a laser scan', '', '720'),
     'range_sigma': Parameter(
-        POSITIVE, 'standard deviation of a range of the laser, or of the distance of a tag near'
-        ' the camera', 'm', '0.02'),
+        SIMULATED_NUMBER, 'standard deviation of a range of the laser, or of the distance of a tag'
+        ' near the camera', 'm', '0.02'),
     'range_sigma_growth': Parameter(
         NOT_NEGATIVE, 'growth of the latter by the square of the distance', '1/m', '0.01'),
     'bearing_sigma': Parameter(
-        POSITIVE, 'standard deviation of the direction of a tag', 'rad', '0.005'),
+        SIMULATED_NUMBER, 'standard deviation of the direction of a tag', 'rad', '0.005'),
     'orientation_sigma': Parameter(
-        POSITIVE, 'standard deviation of the orientation of a tag', 'rad', '0.1'),
-    'image_rate': Parameter(POSITIVE, 'images of a camera per second', 'Hz', '10.0'),
+        SIMULATED_NUMBER, 'standard deviation of the orientation of a tag', 'rad', '0.1'),
+    'image_rate': Parameter(SIMULATED_NUMBER, 'images of a camera per second', 'Hz', '10.0'),
     'dropouts': Parameter(
         FRACTION, 'fraction of beams without return by chance', '', '0.005'),
-    'scan_rate': Parameter(POSITIVE, 'laser scans per second', 'Hz', '10.0'),
+    'scan_rate': Parameter(SIMULATED_NUMBER, 'laser scans per second', 'Hz', '10.0'),
     'seed': Parameter(SEED_NUMBER, 'seed of the world and of all noise', '', '1'),
-    'speed': Parameter(POSITIVE, 'seconds of simulated time per second', '', '1.0'),
+    'speed': Parameter(SIMULATED_NUMBER, 'seconds of simulated time per second', '', '1.0'),
     'clock': Parameter(
         FLAG, 'publish simulated time on /clock, and stamp with it instead of with the present'
         ' time', '', 'false'),

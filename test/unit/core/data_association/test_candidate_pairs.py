@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.data_association.candidate_pairs import MAX_PAIR_D2, MAX_PAIRS
+from fej_slam_ros.core.data_association.candidate_pairs import MAX_PAIR_D2, MAX_CANDIDATE_PAIRS
 from helpers.core import central_differences, turn
 from helpers.matching import a_map, independent, match, observations, ODDS, pairs_of
 
@@ -137,6 +137,6 @@ def test_of_too_many_pairs_no_covariance_is_made_and_all_are_ambiguous():
 
     pairs = pairs_of(state, robot, crowd)
 
-    assert len(pairs) == 1200 > MAX_PAIRS
+    assert len(pairs) == 1200 > MAX_CANDIDATE_PAIRS
     assert not pairs.S.size
     assert match(state, robot, crowd) == ({}, [], [*range(30)])

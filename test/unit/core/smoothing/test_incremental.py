@@ -161,7 +161,7 @@ def raises(error):
 
 def test_landmarks_far_from_the_last_solution_start_anew(monkeypatch):
     """Nothing but the pose is known of a far landmark, so its first observation tells nothing."""
-    monkeypatch.setattr(newest_pose, 'MAX_LANDMARKS', 2)
+    monkeypatch.setattr(newest_pose, 'MAX_FILTER_LANDMARKS', 2)
     smoother, true, points = grown(seed=8, steps=30, noise=1e-3)
     smoother.solve()
     solved = smoother.values()
@@ -212,7 +212,7 @@ def test_the_pose_is_consistent_after_a_long_loop_was_closed_between_solutions()
 
 
 def test_the_filter_forgets_distant_landmarks_and_the_smoother_does_not(monkeypatch):
-    monkeypatch.setattr(newest_pose, 'MAX_LANDMARKS', 5)
+    monkeypatch.setattr(newest_pose, 'MAX_FILTER_LANDMARKS', 5)
     sizes = []
     update = Filter.update
     monkeypatch.setattr(Filter, 'update', lambda self, observations: (
