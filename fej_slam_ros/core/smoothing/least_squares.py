@@ -23,7 +23,7 @@ from typing import ClassVar, TypeVar
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping
+from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping, SingularError
 from fej_slam_ros.core.geometry import Array, corrected, Indices, wrap_all
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.marginals import Information
@@ -375,6 +375,18 @@ def rows_of(factors: FactorsT, rows: Indices) -> FactorsT:
 
 
 def whitener(R: Array) -> Array:
-    """Return L^-1 of the covariance R = L L^T, one (d, d) or several (k, d, d)."""
+    """
+    Return L^-1 of the covariance R = L L^T, one (d, d) or several (k, d, d).
+
+    Raises
+    ------
+    SingularError
+        If a covariance is not positive definite within rounding.
+
+    """
+    try:
+        L = np.linalg.cholesky(R)
+    except np.linalg.LinAlgError:
+        raise SingularError('the covariance of a measurement is singular') from None
     # numpy 1.26 takes a single identity for vectors where R is a stack.
-    return np.linalg.solve(np.linalg.cholesky(R), np.broadcast_to(np.eye(R.shape[-1]), R.shape))
+    return np.linalg.solve(L, np.broadcast_to(np.eye(R.shape[-1]), R.shape))

@@ -286,7 +286,14 @@ def _quadratic(elements: Array, x: Array, y: Array, phi: Array) -> float:
 
 
 def _sums(values: Array, firsts: Indices, lengths: Indices) -> Array:
-    """Return the sums from the first column of each run up to each of its columns."""
-    sums = np.cumsum(values, axis=1)
-    sums -= np.repeat(sums[:, firsts] - values[:, firsts], lengths, axis=1)
+    """
+    Return the sums from the first column of each run up to each of its columns.
+
+    Each run is summed by itself: differences of a sum over all would lose the digits of runs after
+    one with a large covariance, such as that of a lost robot.
+    """
+    sums = np.empty_like(values)
+    for length in np.unique(lengths).tolist():
+        columns = firsts[lengths == length][:, None] + np.arange(length)
+        sums[:, columns] = np.cumsum(values[:, columns], axis=2)
     return sums

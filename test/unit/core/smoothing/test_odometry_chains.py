@@ -8,9 +8,11 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.core.records import UNKNOWN_POSE
 from fej_slam_ros.core.smoothing import odometry_chains
 from fej_slam_ros.core.smoothing.least_squares import information, solve, Values
-from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains
+from fej_slam_ros.core.smoothing.odometry_chains import ChainedIncrements, OdometryChains
 from helpers.smoothing import far_from, whitened_dense, world
 
 
@@ -102,3 +104,20 @@ def test_poses_with_one_increment_on_each_side_are_eliminated(increments, needed
     begins, ends = chains.nodes
     assert not np.isin([*begins, *ends], eliminated).any()
     assert (begins != ends).all()
+
+
+@pytest.mark.parametrize('variance', [1e-6, 1e-13])
+def test_the_covariance_of_a_chain_does_not_depend_on_those_before_it(variance):
+    u, poses = np.tile([0.1, 0.0, 0.05], (20, 1)), np.zeros((21, 3))
+    for k in range(20):
+        poses[k + 1] = compose(poses[k], u[k])
+    Q = np.tile(variance * np.eye(3), (20, 1, 1))
+    Q[5] = UNKNOWN_POSE
+    is_end = np.isin(np.arange(21), [0, 10, 20])
+
+    def last_covariance(rows):
+        begins = np.arange(20)[rows]
+        chains = OdometryChains.of(begins, begins + 1, is_end | (np.arange(21) < begins[0]))
+        return ChainedIncrements.of(chains, u[rows], Q[rows]).reduced(poses).covariances[-1]
+
+    assert_array_equal(last_covariance(slice(None)), last_covariance(slice(10, None)))
