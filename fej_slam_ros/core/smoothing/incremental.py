@@ -16,7 +16,7 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, transform, transform_poses
-from fej_slam_ros.core.models import joined
+from fej_slam_ros.core.models import G, joined
 from fej_slam_ros.core.records import Observation, UNKNOWN_POSE
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
@@ -122,7 +122,7 @@ class IncrementalSmoother:
         self, later: 'IncrementalSmoother', g: Array, Q: Array = UNKNOWN_POSE
     ) -> None:
         """
-        Append the poses of a robot after a motion that odometry does not tell.
+        Append the poses of a robot after a motion that is unknown from odometry.
 
         Parameters
         ----------
@@ -136,11 +136,13 @@ class IncrementalSmoother:
         poses = transform_poses(g, values.poses)
         last = self._poses[-1] if self._poses else self._solved.poses[-1]
         self._new_increments.append((first - 1, first, between(last, poses[0]), Q))
+        turn = G(last[2])
+        P = turn @ Q @ turn.T  # of the poses from then on, in this frame
         self._new_increments += [
             (first + k, first + k + 1, u, Q)
             for k, (u, Q) in enumerate(zip(problem.odometry.z, problem.odometry.R))]
         self._poses += [*poses]
-        self._P += [Q] * len(poses)
+        self._P += [P] * len(poses)
         ids, seen = [*later.landmark_index], problem.landmarks
         for pose, target, z, R in zip(
                 seen.pose.tolist(), seen.target.tolist(), seen.z, seen.R):
@@ -149,7 +151,7 @@ class IncrementalSmoother:
         self._observed_from += (first + np.unique(seen.pose)).tolist()
         self._passed = None
         self._newest = NewestPose(
-            compose(g, later.pose), (), np.zeros((0, 2)), NearMarginal.of_pose(Q))
+            compose(g, later.pose), (), np.zeros((0, 2)), NearMarginal.of_pose(P))
         if self._solve_every != NEVER:
             self.solve(DUE_TOLERANCE)
 

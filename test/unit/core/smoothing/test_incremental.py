@@ -15,7 +15,7 @@ from fej_slam_ros.core.geometry import between, compose, inverse, transform
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import incremental as module
 from fej_slam_ros.core.smoothing import newest_pose
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother, NEVER
 from fej_slam_ros.core.smoothing.least_squares import (
     information, OdometryFactors, Solution, solve, Values)
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
@@ -332,3 +332,13 @@ def test_half_of_victoria_park_added_pose_by_pose_reaches_the_optimum(data, robo
         smoother.add(u, park.ODOMETRY_Q, observations)
 
     assert smoother.solve().cost == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_covariance_after_an_unknown_motion_is_in_the_frame_of_the_map():
+    smoother = IncrementalSmoother(solve_every=NEVER)
+    smoother.add(np.array([1.0, 0.0, np.pi / 2]), 1e-12 * np.eye(3))
+    # Ahead of the last pose is y of the map.
+    smoother.append(
+        IncrementalSmoother(), np.array([5.0, 0.0, 1.0]), np.diag(np.square([0.01, 1.0, 0.1])))
+
+    assert_allclose(np.sqrt(np.diag(smoother.P)), [1.0, 0.01, 0.1], rtol=1e-6)
