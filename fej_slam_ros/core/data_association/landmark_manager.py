@@ -7,7 +7,7 @@ Their IDs are assigned here, -2 and downwards, so that none is equal to an obser
 landmark is tentative; it is confirmed by repeated observations, or deleted as clutter.
 """
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
@@ -28,8 +28,14 @@ from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan
 CONFIRMATION_SCORE = 3
 MAX_UNOBSERVED = 20
 
-#: Fractions of the largest range and bearing of a robot's observations within which a landmark
-#: should be observed, and the probability that it then is.
+#: Number of the latest observations that determine a robot's field of view, and one in this many of
+#: them may be outside of it: a single wrong range must not extend it.
+VIEW_OBSERVATIONS = 500
+OUTSIDE_ONE_IN = 20
+#: Smallest field of view [m, rad].
+MIN_VIEW_RANGE, MIN_VIEW_BEARING = 1.0, 0.5
+#: Fractions of its range and bearing within which a landmark should be observed, and the
+#: probability that it then is.
 SURE_RANGE = 0.8
 SURE_BEARING = 0.9
 DETECTION_PROBABILITY = 0.9
@@ -37,16 +43,24 @@ DETECTION_PROBABILITY = 0.9
 
 @dataclass(slots=True)
 class FieldOfView:
-    """Largest range [m] and bearing [rad] at which a robot has observed a landmark."""
+    """Range [m] and bearing [rad] within which a robot has observed most objects."""
 
-    range: float = 1.0
-    bearing: float = 0.5
+    range: float = MIN_VIEW_RANGE
+    bearing: float = MIN_VIEW_BEARING
+    #: ranges and bearings of the latest observations
+    latest: tuple[deque[float], deque[float]] = field(default_factory=lambda: (
+        deque(maxlen=VIEW_OBSERVATIONS), deque(maxlen=VIEW_OBSERVATIONS)))
 
-    def widen(self, observations: Sequence[Observation]) -> None:
-        """Extend the field of view to contain the observations."""
+    def add(self, observations: Sequence[Observation]) -> None:
+        """Adapt the field of view to further observations."""
+        ranges, bearings = self.latest
         for x, y in (observation.z for observation in observations):
-            self.range = max(self.range, math.hypot(x, y))
-            self.bearing = max(self.bearing, abs(math.atan2(y, x)))
+            ranges.append(math.hypot(x, y))
+            bearings.append(abs(math.atan2(y, x)))
+        if ranges:
+            most = -1 - len(ranges) // OUTSIDE_ONE_IN
+            self.range = max(MIN_VIEW_RANGE, sorted(ranges)[most])
+            self.bearing = max(MIN_VIEW_BEARING, sorted(bearings)[most])
 
     def area(self) -> float:
         """Return its area [m^2]."""
@@ -92,7 +106,7 @@ class LandmarkManager:
         view = self.views.setdefault(scan.robot, FieldOfView())
         # The field of view is not needed as long as all observations have IDs.
         if unknown or self.last != NO_ID:
-            view.widen(scan.observations)
+            view.add(scan.observations)
         if not unknown:
             return AssociatedScan(scan, Scan(scan.robot, scan.stamp, ()))
         with_ids = tuple(s for s in scan.observations if s.id != NO_ID)
