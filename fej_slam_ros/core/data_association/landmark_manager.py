@@ -28,8 +28,8 @@ from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan
 CONFIRMATION_SCORE = 3
 MAX_UNOBSERVED = 20
 
-#: Number of the latest observations that determine a robot's field of view, and one in this many of
-#: them may be outside of it: a single wrong range must not extend it.
+#: Number of the latest observations that determine a robot's field of view, of which one in
+#: OUTSIDE_ONE_IN is outside of it: a single wrong range must not extend it.
 VIEW_OBSERVATIONS = 500
 OUTSIDE_ONE_IN = 20
 #: Smallest field of view [m, rad].
