@@ -123,8 +123,7 @@ class Estimator:
         self.groups.robots = {robot.name: robot for robot in robots}
         for name in before:
             if name not in self.groups.robots:
-                for prior in self._joiner.pose_priors.leave(name):
-                    self.statistics.reject(Rejection(name, prior.stamp, RejectionReason.LEFT))
+                self._joiner.pose_priors.leave(name)
                 self.groups.leave(name)
                 self.innovations.lost_robots.reset(name)
         for name in self.groups.robots:
@@ -152,16 +151,13 @@ class Estimator:
         if record.robot not in self.robots:
             return self.statistics.reject_record(record, RejectionReason.UNKNOWN_ROBOT)
         if isinstance(record, PosePrior):
-            rejected = self._joiner.pose_priors.add(record)
-            if rejected is not None:
-                self.statistics.reject(rejected)
-                # The rejected prior may be the oldest of too many.
-                return rejected.reason if rejected.stamp == record.stamp else None
-        else:
-            self.truth.add(record)
-            for stamp in self.truth.take_surplus(record.robot):
-                self.statistics.reject(
-                    Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
+            if self.settings.is_future(record.stamp, received):
+                return self.statistics.reject_record(record, RejectionReason.FUTURE)
+            return self._joiner.pose_priors.add(record)
+        self.truth.add(record)
+        for stamp in self.truth.take_surplus(record.robot):
+            self.statistics.reject(
+                Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
         return None
 
     def run(self, records: Iterable[Record]) -> Iterator[StepResult]:
@@ -183,6 +179,7 @@ class Estimator:
         """Yield the last steps at the end of the input."""
         yield from self.release()
         self.sequencer.close()
+        self._joiner.pose_priors.close()
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
@@ -190,7 +187,7 @@ class Estimator:
 
     def used(self, robot: str) -> int:
         """Return the number of messages of a robot that have been used."""
-        waiting = self.sequencer.waiting(robot)
+        waiting = self.sequencer.waiting(robot) + self._joiner.pose_priors.waiting(robot)
         return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def pose(self, robot: str) -> PoseEstimate:

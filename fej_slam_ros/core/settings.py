@@ -14,6 +14,7 @@ from fej_slam_ros.core.parameter_kinds import (
     FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE, one_of, Parameter, parameter,
     POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT,
     TURN_BIAS)
+from fej_slam_ros.core.records import NS
 
 Triple = tuple[float, float, float]
 
@@ -131,6 +132,10 @@ class CommonSettings(NoiseSettings):
         ' takes at least 0.9999', changeable=True)
     shared_landmark_ids: bool = parameter(
         True, FLAG, 'landmark IDs are the same for all robots; false: each robot has its own IDs')
+
+    def is_future(self, stamp: int, received: int | None) -> bool:
+        """Return whether a stamp leads its time of reception, both [ns], by too much."""
+        return received is not None and stamp - received > self.future_limit * NS
 
 
 @dataclass(frozen=True)

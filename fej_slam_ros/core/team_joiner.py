@@ -50,7 +50,8 @@ class TeamJoiner:
         self, settings: Settings, groups: FrameGroups, landmark_manager: LandmarkManager,
         statistics: InputStatistics,
     ) -> None:
-        self.pose_priors = PosePriors()  #: initial poses that wait for a step of their robot
+        #: initial poses that wait for a step of their robot
+        self.pose_priors = PosePriors(statistics)
         self._settings = settings
         self._groups = groups
         self._landmark_manager = landmark_manager

@@ -76,7 +76,7 @@ class TeamSmoother:
         self.new_poses = self.new_measurements = 0
         self._solve_every = solve_every
         self._measurements: list[RendezvousMeasurement] = []
-        self._pose_priors = PosePriors()
+        self._pose_priors = PosePriors(self.statistics)
         self._keyframes = Keyframes(settings.keyframe_distance)
         # Rest of the present step, and the robots whose poses in it are kept.
         self._due: deque[RobotStep] = deque()
@@ -95,8 +95,7 @@ class TeamSmoother:
         """
         remaining = {robot.name: robot for robot in robots}
         for name in self.robots.keys() - remaining:
-            for prior in self._pose_priors.leave(name):
-                self.statistics.reject(Rejection(name, prior.stamp, RejectionReason.LEFT))
+            self._pose_priors.leave(name)
         self.robots = remaining
         self._sequencer.change_team(robots)
 
@@ -116,11 +115,9 @@ class TeamSmoother:
         if isinstance(record, (PosePrior, TruePose)) and record.robot not in self.robots:
             return self.statistics.reject_record(record, RejectionReason.UNKNOWN_ROBOT)
         if isinstance(record, PosePrior):
-            rejected = self._pose_priors.add(record)
-            if rejected is not None:
-                self.statistics.reject(rejected)
-            # The rejected prior may be the oldest of too many.
-            return rejected.reason if rejected and rejected.stamp == record.stamp else None
+            if self.settings.is_future(record.stamp, received):
+                return self.statistics.reject_record(record, RejectionReason.FUTURE)
+            return self._pose_priors.add(record)
         if isinstance(record, TruePose):
             self.truth.add(record)
             return None
@@ -146,6 +143,7 @@ class TeamSmoother:
         """Yield the last poses at the end of the input."""
         yield from self.release()
         self._sequencer.close()
+        self._pose_priors.close()
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
@@ -155,7 +153,7 @@ class TeamSmoother:
 
     def used(self, robot: str) -> int:
         """Return the number of messages of a robot that were used."""
-        waiting = self._sequencer.waiting(robot)
+        waiting = self._sequencer.waiting(robot) + self._pose_priors.waiting(robot)
         return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def task(self) -> SmoothingTask:

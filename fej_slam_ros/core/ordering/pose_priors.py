@@ -5,33 +5,44 @@
 from bisect import insort
 from collections.abc import Iterator
 
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
 from fej_slam_ros.core.records import PosePrior
-from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.rejections import RejectionReason
 
 #: Maximum number of pose priors of a robot that wait for its next step; users send few.
 MAX_WAITING_PRIORS = 100
 
 
 class PosePriors:
-    """The pose priors of all robots; each is used once, also by a robot that left and returned."""
+    """
+    The pose priors of all robots; each is used once, also by a robot that left and returned.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    statistics : counts the rejections
+
+    """
+
+    def __init__(self, statistics: InputStatistics) -> None:
+        self._statistics = statistics
         self._waiting: dict[str, list[PosePrior]] = {}
         self._memory: dict[str, RecordMemory] = {}
 
-    def add(self, prior: PosePrior) -> Rejection | None:
-        """Insert a prior; return its rejection, or that of the oldest one beyond the maximum."""
+    def add(self, prior: PosePrior) -> RejectionReason | None:
+        """Insert a prior; return the reason if it is rejected, None if it is accepted."""
         memory = self._memory.setdefault(prior.robot, RecordMemory())
         received = identity(prior)
         if memory.contains(received):
-            return Rejection(prior.robot, prior.stamp, RejectionReason.DUPLICATE)
+            return self._statistics.reject_record(prior, RejectionReason.DUPLICATE)
         memory.add(received, may_forget=lambda _: True)
         waiting = self._waiting.setdefault(prior.robot, [])
         insort(waiting, prior, key=_order)
-        if len(waiting) > MAX_WAITING_PRIORS:
-            return Rejection(prior.robot, waiting.pop(0).stamp, RejectionReason.AFTER_ODOMETRY)
-        return None
+        if len(waiting) <= MAX_WAITING_PRIORS:
+            return None
+        oldest = waiting.pop(0)
+        reason = self._statistics.reject_record(oldest, RejectionReason.AFTER_ODOMETRY)
+        return reason if oldest is prior else None
 
     def take(self, robot: str, stamp: int) -> Iterator[PosePrior]:
         """Yield and remove the priors of a robot up to a stamp [ns], oldest first."""
@@ -39,9 +50,21 @@ class PosePriors:
         while waiting and waiting[0].stamp <= stamp:
             yield waiting.pop(0)
 
-    def leave(self, robot: str) -> list[PosePrior]:
-        """Remove and return the waiting priors of a robot."""
-        return self._waiting.pop(robot, [])
+    def waiting(self, robot: str) -> int:
+        """Return the number of waiting priors of a robot."""
+        return len(self._waiting.get(robot, ()))
+
+    def leave(self, robot: str) -> None:
+        """Reject the waiting priors of a robot that leaves."""
+        for prior in self._waiting.pop(robot, []):
+            self._statistics.reject_record(prior, RejectionReason.LEFT)
+
+    def close(self) -> None:
+        """Reject the priors that no odometry has reached: the input has ended."""
+        for waiting in self._waiting.values():
+            for prior in waiting:
+                self._statistics.reject_record(prior, RejectionReason.AFTER_ODOMETRY)
+            waiting.clear()
 
 
 def _order(prior: PosePrior) -> tuple[int, list[float]]:

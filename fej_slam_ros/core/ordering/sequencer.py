@@ -59,12 +59,13 @@ class Sequencer:
         self._left: dict[str, RobotQueue] = {}
         self._ids: dict[str, int] = {}
         self._statistics = statistics
+        self._settings = settings
         self._must_wait_for_input = False  # whether the input so far allows no further step
         # The robot that has to send before the next step, and the key of that step, while all
         # robots are live.
         self._awaited: tuple[str, ReleaseKey] | None = None
         # Limits in ns. Data may be delayed by max_delay before a robot counts as silent.
-        self._max_delay = self._stale_after = self._longest_lead = self._future_limit = 0
+        self._max_delay = self._stale_after = self._longest_lead = 0
         self._max_observations = 0
         self.change_limits(settings)
         self._begun = False
@@ -79,9 +80,9 @@ class Sequencer:
     def change_limits(self, settings: CommonSettings) -> None:
         """Use other limits of delays, once `change_team` has passed them to all robots."""
         self._must_wait_for_input = False
+        self._settings = settings
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
-        self._future_limit = round(settings.future_limit * NS)
         self._longest_lead = self._stale_after + self._max_delay
         self._max_observations = settings.max_observations
 
@@ -207,7 +208,7 @@ class Sequencer:
         queue = self._queues.get(record.robot)
         if queue is None:
             return RejectionReason.UNKNOWN_ROBOT
-        if received is not None and record.stamp - received > self._future_limit:
+        if self._settings.is_future(record.stamp, received):
             return RejectionReason.FUTURE
         reason = queue.accept(record, self._max_observations)
         if reason is None:

@@ -171,8 +171,7 @@ class TimeJumpDetector:
         """Pass on a record; odometry may show that only other robots have jumped back."""
         source = _source(record)
         self._pending.discard(source)
-        if received is None or record.stamp - received <= (
-                self._consumer.settings.future_limit * NS):
+        if not self._consumer.settings.is_future(record.stamp, received):
             self._newest[source] = max(record.stamp, self._newest.get(source, record.stamp))
             if self._backward and isinstance(record, Odometry):
                 self._pass_on_held(record.robot)

@@ -155,6 +155,8 @@ class PeerSmoother(TeamSmoother):
             return super().add(record, received)
         self.statistics.received[record.robot] += 1
         known = identity(record)
+        if self.settings.is_future(record.stamp, received):
+            return self.statistics.reject_record(record, RejectionReason.FUTURE)
         if self._robot_scans.contains(known):
             return self.statistics.reject_record(record, RejectionReason.DUPLICATE)
         if len(record.observations) > self.settings.max_observations:

@@ -29,7 +29,7 @@ from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE
 from fej_slam_ros.core.peers.team_logs import LogContents, TeamLogs
 from fej_slam_ros.core.peers.union import unsolved
-from fej_slam_ros.core.records import RobotScan, Scan
+from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import Settings
 
 #: Maximum number of own observations in a message, spread over the last rendezvous.
@@ -162,9 +162,10 @@ def read(message: bytes, sender: str, receiver: str) -> WindowInformation | None
 
 def _observations(measurements: Sequence[Measurement], peer: str) -> list[RobotScan]:
     """Return observations of another robot in the last rendezvous, spread over it."""
+    newest = max((m.stamp for m in measurements if isinstance(m, Odometry)), default=0)
+    reached = [m for m in measurements if isinstance(m, RobotScan) and m.stamp <= newest]
     scans: list[RobotScan] = []
-    for scan in sorted(
-            (m for m in measurements if isinstance(m, RobotScan)), key=lambda m: m.stamp):
+    for scan in sorted(reached, key=lambda m: m.stamp):
         observations = tuple(o for o in scan.observations if o.observed == peer)
         if observations:
             if scans and scan.stamp - scans[-1].stamp > MAX_RENDEZVOUS_PAUSE:

@@ -122,7 +122,7 @@ class PeerSession(SmootherSession):
         self.log = PeerLog(self.team, self.inputs, self._exchange)
         # What was known of the rendezvous with each robot, and when its computation ended; a
         # computation of one is followed by a solution, if there is anything new to solve.
-        self._met: dict[str, tuple[int, tuple[int, int]]] = {}
+        self._met: dict[str, tuple[int, tuple[int, int, int]]] = {}
         self._is_after_meeting = False
         self._unwritten: list[Block] = []
         self._store()
@@ -262,17 +262,18 @@ class PeerSession(SmootherSession):
         for peer in self._exchange.in_reach(now):
             if self.team.solution.has_joined([self.team.robot, peer]):
                 continue
-            at, before = self._met.get(peer, (-MEETING_PERIOD, (0, 0)))
+            at, before = self._met.get(peer, (-MEETING_PERIOD, (0, 0, 0)))
             known = self._known_of(peer)
-            # Information of the other robot comes once; own observations go on.
+            # A run of the other's information comes once; its blocks and own observations go on.
             if known[1] != before[1] or (known != before and now - at >= MEETING_PERIOD):
                 return peer
         return None
 
-    def _known_of(self, peer: str) -> tuple[int, int]:
-        """Return the number of own observations of a robot, and the run of its information."""
+    def _known_of(self, peer: str) -> tuple[int, int, int]:
+        """Return the number of observations of a robot, and run and size of its information."""
         log = self.team.logs.logs.get(LogName(peer, self.team.robot))
-        return self.team.observed[peer], 0 if log is None else log.run
+        run, size = (0, 0) if log is None else (log.run, len(log.blocks))
+        return self.team.observed[peer], run, size
 
 
 def _met(task: MeetingTask) -> tuple[str, Meeting | None]:

@@ -4,6 +4,7 @@
 
 import numpy as np
 
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import MAX_WAITING_PRIORS, PosePriors
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
@@ -15,7 +16,7 @@ def prior(ms, x=0.0, robot='r1'):
 
 
 def test_priors_are_taken_once_and_in_the_order_of_stamps():
-    priors = PosePriors()
+    priors = PosePriors(InputStatistics())
     for ms in (300, 100, 200):
         assert priors.add(prior(ms)) is None
 
@@ -27,7 +28,7 @@ def test_priors_are_taken_once_and_in_the_order_of_stamps():
 def test_the_order_of_arrival_does_not_matter_at_one_stamp():
     taken = []
     for xs in [(2.0, 1.0, 3.0), (3.0, 2.0, 1.0)]:
-        priors = PosePriors()
+        priors = PosePriors(InputStatistics())
         for x in xs:
             priors.add(prior(100, x))
         taken.append([prior.pose[0] for prior in priors.take('r1', 100 * MS)])
@@ -36,19 +37,36 @@ def test_the_order_of_arrival_does_not_matter_at_one_stamp():
 
 
 def test_a_prior_sent_again_is_a_duplicate_also_after_its_robot_returned():
-    priors = PosePriors()
+    statistics = InputStatistics()
+    priors = PosePriors(statistics)
     priors.add(prior(100))
-    assert [left.stamp for left in priors.leave('r1')] == [100 * MS]
+    priors.leave('r1')
+    assert statistics.rejection_counts['r1'] == {RejectionReason.LEFT: 1}
 
-    assert priors.add(prior(100)).reason is RejectionReason.DUPLICATE
+    assert priors.add(prior(100)) is RejectionReason.DUPLICATE
     assert priors.add(prior(100, x=1.0)) is None
 
 
 def test_the_oldest_prior_beyond_the_maximum_is_rejected():
-    priors = PosePriors()
+    statistics = InputStatistics()
+    priors = PosePriors(statistics)
     for ms in range(1, MAX_WAITING_PRIORS + 1):
         priors.add(prior(ms))
 
-    rejected = priors.add(prior(MAX_WAITING_PRIORS + 1))
+    assert priors.add(prior(MAX_WAITING_PRIORS + 1)) is None
+    assert priors.add(prior(1, x=1.0)) is RejectionReason.AFTER_ODOMETRY
 
-    assert (rejected.stamp, rejected.reason) == (MS, RejectionReason.AFTER_ODOMETRY)
+    assert [r.stamp for r in statistics.rejections] == [MS, MS]
+    assert next(priors.take('r1', 900 * MS)).stamp == 2 * MS
+
+
+def test_priors_that_no_odometry_has_reached_are_rejected_at_the_end():
+    statistics = InputStatistics()
+    priors = PosePriors(statistics)
+    priors.add(prior(100))
+    assert priors.waiting('r1') == 1
+
+    priors.close()
+
+    assert priors.waiting('r1') == 0
+    assert statistics.rejection_counts['r1'] == {RejectionReason.AFTER_ODOMETRY: 1}

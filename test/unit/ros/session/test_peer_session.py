@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions that exchange their measurements: the central result, through restarts and refusals."""
 
+from dataclasses import replace
 import errno
 from functools import cache
 from itertools import count
@@ -11,11 +12,14 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.peers.messages import read
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.messages import RawMessage, serialize
+from fej_slam_ros.ros.messages import deserialize, RawMessage, serialize
 from fej_slam_ros.ros.session import peer_reports, peer_session
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE, PeerSession
 from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
@@ -54,15 +58,17 @@ def session(name, other, folder=None, **values):
     return PeerSession(settings([name], [other], **values), folder, solve_every=10**9)
 
 
-def exchanged(sessions, clock, seconds, lost=lambda k: False, is_over=lambda published: False):
+def exchanged(
+    sessions, clock, seconds, lost=lambda message: False, is_over=lambda published: False
+):
     """Let time pass while the sessions hear each other; return what they have published."""
-    numbers, published = count(), []
+    published = []
     for _ in range(round(10 * seconds)):
         clock.now += NS // 10
         for sender in sessions.values():
             for topic, message in sender.exchange():
                 published.append((topic, message))
-                if not lost(next(numbers)):
+                if not lost(message):
                     for other in sessions.values():
                         other.receive(RawMessage(topic, EXCHANGE_TYPE, None, serialize(message)))
             if sender.is_solution_due(10**9):
@@ -108,7 +114,8 @@ def test_both_robots_end_with_the_central_result(clock, tmp_path):
     sessions = {
         'p': session('p', 'q', tmp_path / 'p'), 'q': session('q', 'p', tmp_path / 'q')}
     fed(sessions, messages(), clock)
-    exchanged(sessions, clock, 10.0, lost=lambda k: k % 5 == 0)
+    numbers = count()
+    exchanged(sessions, clock, 10.0, lost=lambda _: next(numbers) % 5 == 0)
 
     expected = central()
     for name, run in sessions.items():
@@ -184,6 +191,58 @@ def test_the_pose_of_the_map_of_the_other_is_published_before_any_of_its_map(clo
     assert np.hypot(*(np.array([position.x, position.y]) - base.pose[:2])) < 0.5
     assert sessions['p'].team.logs.contents('q').measurements() == []
     assert sum(len(m.data) for topic, m in published if topic == EXCHANGE_TOPIC) < 10_000
+
+
+def test_maps_are_aligned_after_a_packet_with_rendezvous_information_was_lost(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    # All own observations are known before the robots are in reach.
+    for message in messages():
+        name = message.topic.lstrip('/').partition('/')[0]
+        if name in sessions:
+            list(sessions[name].receive(message))
+            list(sessions[name].take())
+    for run in sessions.values():
+        list(run.release())
+    lost = set()
+
+    def is_lost(message):
+        block = getattr(read(bytes(message.data)), 'block', None)
+        if block is None:
+            return False
+        # Measurements would align the maps, too.
+        is_second = block.number == 1 and block.log not in lost
+        lost.update([block.log] if block.log.about and is_second else [])
+        return not block.log.about or is_second
+
+    exchanged(sessions, clock, 6.0, lost=is_lost)
+
+    assert {log.author for log in lost} == {'p', 'q'}
+    for name, other in (('p', 'q'), ('q', 'p')):
+        alignment = sessions[name].team.meetings[other].alignment
+        assert not isinstance(alignment, JoinFailure), alignment
+
+
+def test_an_observation_of_the_future_does_not_replace_a_rendezvous(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    spoilt = set()
+    for message in messages():
+        name, _, kind = message.topic.lstrip('/').partition('/')
+        if name in sessions:
+            list(sessions[name].receive(message))
+            if kind == 'robots' and name not in spoilt:
+                cloud = deserialize(message.raw, message.type_name)
+                if cloud.width:
+                    cloud.header.stamp.sec += 1000
+                    spoilt.add(name)
+                    list(sessions[name].receive(replace(message, raw=serialize(cloud))))
+            list(sessions[name].take())
+
+    exchanged(sessions, clock, 3.0)
+
+    for name, other in (('p', 'q'), ('q', 'p')):
+        team = sessions[name].team
+        assert team.statistics.rejection_counts[name] == {RejectionReason.FUTURE: 1}
+        assert not isinstance(team.meetings[other].alignment, JoinFailure)
 
 
 @pytest.mark.parametrize('at', [0.2, 0.8])
