@@ -18,7 +18,6 @@ from scipy.linalg import cho_factor, cho_solve
 from fej_slam_ros.core.chi_square import chi_square_quantile, own_blocks, squared_distances
 from fej_slam_ros.core.csam.maps import JointMap, LandmarkPair
 from fej_slam_ros.core.geometry import Array, Flags, Indices
-from fej_slam_ros.core.records import LandmarkKey
 
 #: Probability that a correct pair is inside its gate, xi of Algorithm 2.
 PAIR_PROBABILITY = 0.99
@@ -47,7 +46,11 @@ def match_landmarks(aligned: JointMap) -> JointMap:
 
 def _unique_pairs(aligned: JointMap, matched: JointMap) -> list[LandmarkPair]:
     """Return the pairs of landmarks each of which is the only one in the other's gate."""
-    points, may_match = matched.values.points, _may_match(matched.landmarks)
+    robots = [frozenset(robot for robot, _ in keys) for keys in matched.landmarks]
+    # The usual case of many landmarks: of one robot, or with IDs that all robots share.
+    if not robots or frozenset.intersection(*robots):
+        return []
+    points, may_match = matched.values.points, _are_apart(robots)
     if not may_match.any():
         return []
     P = matched.information().joint(points=range(len(points)))
@@ -82,10 +85,12 @@ def _squared_distances(points: Array, P: Array) -> Array:
     return squared_distances(r.reshape(-1, 2), S.reshape(-1, 2, 2)).reshape(count, count)
 
 
-def _may_match(landmarks: Sequence[tuple[LandmarkKey, ...]]) -> Flags:
-    """Return the pairs of landmarks (l, l) without a common robot."""
-    robots = [{robot for robot, _ in keys} for keys in landmarks]
-    return np.array([[a.isdisjoint(b) for b in robots] for a in robots], bool)
+def _are_apart(robots: Sequence[frozenset[str]]) -> Flags:
+    """Return the pairs of landmarks (l, l) without a common one of their robots."""
+    names = sorted(frozenset.union(*robots))
+    is_of = np.array([[name in of_landmark for name in names] for of_landmark in robots], float)
+    apart: Flags = is_of @ is_of.T == 0.0
+    return apart
 
 
 def _misfit(

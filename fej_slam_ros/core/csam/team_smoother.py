@@ -76,6 +76,7 @@ class TeamSmoother:
         self.new_poses = self.new_measurements = 0
         self._solve_every = solve_every
         self._measurements: list[RendezvousMeasurement] = []
+        self._observed_pairs: set[tuple[str, str]] = set()  # observers and observed of these
         self._pose_priors = PosePriors(self.statistics)
         self._keyframes = Keyframes(settings.keyframe_distance)
         # Rest of the present step, and the robots whose poses in it are kept.
@@ -202,8 +203,8 @@ class TeamSmoother:
         """Return the reason for each robot that is not in ``map``."""
         reasons = {name: self._no_odometry(name) for name in self.robots}
         reasons |= dict.fromkeys(self.trajectories, 'it has no rendezvous with another robot')
-        for m in self._measurements:
-            for name, other in permutations((m.observer, m.observed)):
+        for pair in sorted(self._observed_pairs):
+            for name, other in permutations(pair):
                 if other in self.solution.unsolved:
                     reasons[name] = f'its rendezvous is with {other}, whose map is not solved'
         for solved in self.solution.maps:
@@ -282,8 +283,10 @@ class TeamSmoother:
         if observer.is_lost or observed.is_lost:
             self.statistics.reject(Rejection(
                 scan.robot, scan.stamp, RejectionReason.LOST_ROBOT,
-                id=self.robots[observation.observed].id, observed=observation.observed))
+                id=self._sequencer.ids[observation.observed], observed=observation.observed))
             return
+        self.statistics.observations_used[scan.robot] += 1
+        self._observed_pairs.add((scan.robot, observation.observed))
         self._measurements.append(RendezvousMeasurement(
             scan.robot, len(observer.stamps) - 1, observation.observed, len(observed.stamps) - 1,
             observation.z, observation.R, scan.stamp))

@@ -52,12 +52,16 @@ class Sequencer:
     settings : initial team, and the limits of delays
     statistics : counts the rejections
 
+    Attributes
+    ----------
+    ids : ID of each robot that is or was in the team, by name
+
     """
 
     def __init__(self, settings: CommonSettings, statistics: InputStatistics) -> None:
         self._queues: dict[str, RobotQueue] = {}
         self._left: dict[str, RobotQueue] = {}
-        self._ids: dict[str, int] = {}
+        self.ids: dict[str, int] = {}
         self._statistics = statistics
         self._settings = settings
         self._must_wait_for_input = False  # whether the input so far allows no further step
@@ -107,7 +111,7 @@ class Sequencer:
         for robot in robots:
             self._queues[robot.name].change_settings(robot, self._stale_after)
         self._must_wait_for_input = False
-        self._ids |= {robot.name: robot.id for robot in robots}
+        self.ids |= {robot.name: robot.id for robot in robots}
 
     def add(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:
         """
@@ -316,7 +320,7 @@ class Sequencer:
             if name not in present:
                 self._statistics.reject(Rejection(
                     scan.robot, scan.stamp, RejectionReason.OTHER_ROBOT_STALE,
-                    id=self._ids.get(name, UNKNOWN_ROBOT_ID), observed=name))
+                    id=self.ids.get(name, UNKNOWN_ROBOT_ID), observed=name))
                 if name in self._queues:
                     self._queues[name].miss(scan.stamp)
         return replace(

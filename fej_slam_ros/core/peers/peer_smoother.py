@@ -162,6 +162,7 @@ class PeerSmoother(TeamSmoother):
         if len(record.observations) > self.settings.max_observations:
             return self.statistics.reject_record(record, RejectionReason.TOO_LARGE)
         self._robot_scans.add(known, lambda stamp: True)
+        self.statistics.observations_used[record.robot] += len(record.observations)
         self.observed.update(o.observed for o in record.observations)
         self.new_measurements += len(record.observations)
         return None

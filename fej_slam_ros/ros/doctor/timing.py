@@ -9,7 +9,8 @@ from statistics import median
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
+from fej_slam_ros.core.ordering.backward_stamps import (
+    breaks, is_in_recorded_order, steps_back)
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import counted, error, error_if, Finding, seconds, warning
@@ -83,7 +84,7 @@ def _order(name: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[
         largest = int(-np.diff(stamps).min())
         is_harmless = largest <= settings.max_delay * NS or name.endswith('/ground_truth')
         cause, cure = OTHER_STEPS
-        if name.endswith('/odom') and steps_back(stamps):
+        if name.endswith('/odom') and steps_back(stamps) and is_in_recorded_order(stamps):
             cause, cure = REPEATED_TIME if breaks(stamps) else WRITTEN_LATE
         yield error_if(not is_harmless)(
             'stamps_go_back', name,

@@ -17,8 +17,8 @@ from fej_slam_ros.ros.session.log_lines import LogSeverity
 #: Adds a line to a log.
 AddLine = Callable[[LogSeverity, str], None]
 
-#: Number of odometry messages after which the number of missed ones counts as unknown: the
-#: sequence number of the first one is there by the second, if the middleware gives any.
+#: Maximum number of odometry messages that are held. With more the number of missed ones counts as
+#: unknown: the sequence number of the first is there by the second, if the middleware gives any.
 MAX_HELD_ODOMETRY = 5
 
 
@@ -108,9 +108,12 @@ class LateStarts:
         first, missed = held[0].record, self._messages.missed(_topic(robot))
         later = [other.record for other in held if other.record.stamp > first.stamp]
         if missed != 0 and not is_at_origin(first):
-            if not later or (missed is None and len(held) < MAX_HELD_ODOMETRY):
+            if len(held) < MAX_HELD_ODOMETRY and (not later or missed is None):
                 return []
-            self._start_late(first, later[0], missed)
+            if later:
+                self._start_late(first, later[0], missed)
+            else:
+                self._void(robot, f'its first {len(held)} odometry messages have no later stamp')
         self._checked.add(robot)
         self._messages.forget(_topic(robot))
         return self._held.pop(robot)

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.stats import chi2
 
+from fej_slam_ros.core.csam import landmark_matching
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.smoothing.least_squares import (
@@ -90,3 +91,11 @@ def test_different_shared_ids_are_never_merged():
     shared = match_landmarks(replace(joint, landmarks=((('', 1),), (('', 2),))))
 
     assert pairs_of(shared) == []
+
+
+def test_maps_of_many_landmarks_with_shared_ids_need_no_comparison_of_pairs(monkeypatch):
+    joint = two_still_robots([[3.0, 1.0]] * 3, [[3.0, 1.0]] * 3)
+    shared = replace(joint, landmarks=tuple((('', k),) for k in range(6)))
+    monkeypatch.setattr(landmark_matching, '_are_apart', None)
+
+    assert match_landmarks(shared) is shared

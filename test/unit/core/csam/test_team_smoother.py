@@ -21,7 +21,7 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import Values
 from helpers.core import circles, pose_difference, turn
-from helpers.records import MS, odometry, scan, team
+from helpers.records import MS, odometry, robot_scan, scan, team
 
 #: Robots with shared landmark IDs; the stated covariances are the true ones.
 RECORDS = circles(seed=1)
@@ -154,6 +154,36 @@ def test_ids_of_each_robot_do_not_join_maps():
     assert {name: x.frame for name, x in smoother.trajectories.items()} == {
         'r1': 'r1/map', 'r2': 'r2/map'}
     assert set(smoother.not_in_map().values()) == {'it has no rendezvous with another robot'}
+
+
+def met(smoother, steps, jump=0.0):
+    """Add odometry of two robots at 10 Hz, the last of r1 after a jump [m], and what r1 sees."""
+    for k in range(steps):
+        x = 0.1 * k + jump * (k == steps - 1)
+        smoother.add(odometry('r1', 100 * k, (x, 0.0, 0.0)))
+        smoother.add(odometry('r2', 100 * k, (0.1 * k, 0.0, 0.0)))
+        smoother.add(robot_scan('r1', 100 * k, [('r2', (0.0, 1.0))]))
+
+
+def test_observations_of_robots_count_as_used():
+    smoother = TeamSmoother(team())
+    met(smoother, 10)
+    list(smoother.close())
+
+    assert smoother.statistics.observations_used == {'r1': 10, 'r2': 0}
+
+
+def test_a_robot_may_leave_between_the_poses_of_a_step_in_which_it_was_observed():
+    smoother = TeamSmoother(team(max_delay=0.0))
+    met(smoother, 10, jump=500.0)
+    poses = smoother.release()
+    # All but the last pose of the last step.
+    list(islice(poses, 19))
+    smoother.change_team(team('r1').robots)
+
+    list(smoother.release())
+
+    assert smoother.statistics.rejection_counts['r1'] == {RejectionReason.LOST_ROBOT: 1}
 
 
 def exact(ms, twist_covariance):

@@ -200,3 +200,15 @@ def test_a_smoother_that_receives_its_anchor_late_says_where_map_begins(
     assert all('first odometry received of r1, [3., 0., 0.]' in line for line in log.infos)
     assert messages.forgotten == ['r1/odom']
     assert check.topics() == []
+
+
+def test_odometry_whose_stamps_do_not_advance_is_not_held_for_ever():
+    run = LiveRun('r1', messages=Messages(r1=3))
+
+    poses = [(5.0 + 0.1 * k, 0.0, 0.0) for k in range(2 * MAX_HELD_ODOMETRY)]
+    passed_on = [run.odom('r1', 0, pose) for pose in poses]
+
+    assert passed_on == [0] * (MAX_HELD_ODOMETRY - 1) + [MAX_HELD_ODOMETRY] + [
+        1] * MAX_HELD_ODOMETRY
+    assert run.log.infos == [
+        'map begins where r1 is now: its first 5 odometry messages have no later stamp']
