@@ -142,7 +142,7 @@ def process(
             sink = bag_sink(bag, node, names)
         for message in messages:
             session.receive(message)
-            if session.inputs.time_jump_detector.is_over():
+            if session.inputs.time_jump_detector.has_ended_run():
                 sink.close(session)
                 yield session, session.write_files()
                 ended, session = session, start(session.next_settings(output=''))

@@ -73,11 +73,11 @@ class NisMonitor:
         self.dof += 2 * len(values)
         self._latest.extend(values)
         low, high = self.band()
-        if self._inside_at is None or low <= self.ratio() <= high:
+        if self._inside_at is None or low <= self.nis_per_dof() <= high:
             self._inside_at = stamp
         self.outside_for = stamp - self._inside_at
 
-    def ratio(self) -> float:
+    def nis_per_dof(self) -> float:
         """Return NIS/dof of the latest observations, above 1 if the filter is overconfident."""
         return sum(self._latest) / (2 * len(self._latest)) if self._latest else 1.0
 
@@ -88,7 +88,7 @@ class NisMonitor:
         return low / max(dof, 1), high / max(dof, 1)
 
 
-def mean_nis(monitors: Iterable[NisMonitor]) -> float:
+def total_nis_per_dof(monitors: Iterable[NisMonitor]) -> float:
     """Return NIS/dof over all observations of some robots."""
     every = [*monitors]
     return sum(monitor.total for monitor in every) / sum(monitor.dof for monitor in every)

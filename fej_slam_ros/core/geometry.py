@@ -123,7 +123,7 @@ def transform(pose: Array, points: Array) -> Array:
     return moved
 
 
-def corrected(poses: Array, dx: Array) -> Array:
+def poses_plus(poses: Array, dx: Array) -> Array:
     """Return poses (n, 3) plus a correction dx (3 n,), with wrapped headings."""
     sums = poses + dx.reshape(-1, 3)
     sums[:, 2] = wrap_all(sums[:, 2])

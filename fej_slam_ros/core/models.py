@@ -34,7 +34,7 @@ def G(phi: float) -> Array:
     return pose_rotation(phi)
 
 
-def joined(u: Array, Q: Array, v: Array, R: Array) -> tuple[Array, Array]:
+def composed_increment(u: Array, Q: Array, v: Array, R: Array) -> tuple[Array, Array]:
     """Return u (3,) followed by v (3,) as one increment, and its covariance by eqs. (3) to (6)."""
     C = G(u[2])
     Phi_v = Phi(C[:2, :2] @ v[:2])

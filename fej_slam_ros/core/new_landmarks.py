@@ -8,7 +8,7 @@ from dataclasses import replace
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.pieces import is_over
+from fej_slam_ros.core.pieces import must_end
 from fej_slam_ros.core.records import Observation, Scan
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
@@ -38,7 +38,7 @@ def start_landmarks(
         ids = dict.fromkeys(s.id for s in _of_unknown(filter_, scan))
         scan = _without(scan, [*ids][most:], reason, statistics)
     associations = filter_.start_landmarks([scan])
-    if is_over():
+    if must_end():
         left_out = {s.id for s in _of_unknown(filter_, scan)}
         _without(scan, left_out, RejectionReason.INTERRUPTED, statistics)
     return associations

@@ -31,7 +31,7 @@ _contexts: list[tuple[Callable[[], object], Callable[[], bool]]] = []
 
 @contextmanager
 def between_pieces(
-    serve: Callable[[], object], is_over: Callable[[], bool] = lambda: False
+    serve: Callable[[], object], must_end: Callable[[], bool] = lambda: False
 ) -> Iterator[None]:
     """
     Call functions between the pieces of all computations of the context.
@@ -39,10 +39,10 @@ def between_pieces(
     Parameters
     ----------
     serve : called between two pieces
-    is_over : whether computations that can end early are to do so, because the process ends
+    must_end : whether computations that can end early are to do so, because the process ends
 
     """
-    _contexts.append((serve, is_over))
+    _contexts.append((serve, must_end))
     try:
         yield
     finally:
@@ -53,12 +53,12 @@ def pause() -> bool:
     """End a piece; return whether to end the computation, if it can end early."""
     for serve, _ in _contexts[-1:]:
         serve()
-    return is_over()
+    return must_end()
 
 
-def is_over() -> bool:
+def must_end() -> bool:
     """Return whether to end a computation that can end early."""
-    return any(is_over() for _, is_over in _contexts[-1:])
+    return any(must_end() for _, must_end in _contexts[-1:])
 
 
 def ranges(count: int, size: float) -> Iterator[slice]:
@@ -79,7 +79,7 @@ def product(A: Array, B: Array, may_end: bool = False) -> Array:
         return of_all
     result = np.empty((rows, B.shape[1]))
     for part in ranges(rows, size):
-        if may_end and is_over():
+        if may_end and must_end():
             raise EndedError
         result[part] = A[part] @ B
     return result

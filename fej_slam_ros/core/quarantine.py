@@ -59,9 +59,9 @@ class Quarantine:
         """
         Restart robots whose heading is too uncertain to be linearised, if they can join again.
 
-        That is so if they have turned for long by odometry alone and meet known landmarks, or
-        robots of their frame, again. The last robot of a frame stays in it: a map that nobody
-        corrects any more would hardly be joined.
+        This happens after a long turn by odometry alone, when known landmarks or robots of the
+        frame are observed again. The last robot of a frame stays in it: without a robot, a map
+        would rarely be joined.
 
         """
         for scan in step.scans:

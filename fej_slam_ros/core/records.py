@@ -29,10 +29,10 @@ MAX_ID = 2**31 - 1
 
 #: A motion or pose with a larger standard deviation of heading [rad] or position [m], as after a
 #: gap in the odometry, is too uncertain to linearise.
-LOST_HEADING_SIGMA = 0.3
-LOST_POSITION_SIGMA = 1e3
+MAX_LINEAR_HEADING_SIGMA = 0.3
+MAX_LINEAR_POSITION_SIGMA = 1e3
 #: Covariance of a pose or a motion that is not known: 1 km, and a turn in either direction.
-UNKNOWN_POSE = np.diag(np.square([1e3, 1e3, np.pi]))
+UNKNOWN_POSE_COVARIANCE = np.diag(np.square([1e3, 1e3, np.pi]))
 
 #: Identity of a landmark: the robot whose ID it is ('' where all robots share IDs), and the ID.
 LandmarkKey = tuple[str, int]
@@ -188,7 +188,8 @@ class Step:
 
 def _is_too_uncertain(P: Array) -> bool:
     x, y, phi = P.diagonal().tolist()
-    return not (max(x, y) <= LOST_POSITION_SIGMA ** 2 and phi <= LOST_HEADING_SIGMA ** 2)
+    return not (
+        max(x, y) <= MAX_LINEAR_POSITION_SIGMA ** 2 and phi <= MAX_LINEAR_HEADING_SIGMA ** 2)
 
 
 def ordered(observations: Iterable[ObservationT]) -> tuple[ObservationT, ...]:

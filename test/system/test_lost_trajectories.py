@@ -11,7 +11,8 @@ import pytest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.core.records import NS, Odometry, PosePrior, Scan, TruePose, UNKNOWN_POSE
+from fej_slam_ros.core.records import (
+    NS, Odometry, PosePrior, Scan, TruePose, UNKNOWN_POSE_COVARIANCE)
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import circles, pose_difference
 from helpers.records import robot_scan, team
@@ -196,7 +197,7 @@ def test_a_given_pose_places_a_robot_that_observes_nothing():
 def test_a_robot_of_which_nothing_is_known_is_found_by_its_landmarks():
     at = HALF + NS
     smoother, poses = smoothed_with(
-        RECORDS, PosePrior('r1', at, np.zeros(3), UNKNOWN_POSE))
+        RECORDS, PosePrior('r1', at, np.zeros(3), UNKNOWN_POSE_COVARIANCE))
 
     assert smoother.statistics.restart_reasons == {'r1': 'its pose is not known'}
     # By the scan of that step, which observes three landmarks.

@@ -20,7 +20,7 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
 from fej_slam_ros.core.gauss_newton import gauss_newton, NoMinimumError, SingularError
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, corrected, Flags, Indices, inverse, pose_rotation, rigid_fit,
+    Array, between, compose, Flags, Indices, inverse, pose_rotation, poses_plus, rigid_fit,
     rotation, transform, transform_poses, wrap_all)
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.least_squares import whitener
@@ -234,7 +234,7 @@ class _Algorithm1:
     def retract(self, x: _Nodes, dx: Array) -> _Nodes:
         x_p, x_q, b = x
         dx_p, dx_q, db = np.split(dx, self._sizes)
-        return corrected(x_p, dx_p), corrected(x_q, dx_q), corrected(b[None], db)[0]
+        return poses_plus(x_p, dx_p), poses_plus(x_q, dx_q), poses_plus(b[None], db)[0]
 
     def has_converged(self, x: _Nodes, dx: Array, decrease: float) -> bool:
         return bool(np.abs(dx).max() < ALIGNMENT_TOLERANCE)

@@ -27,7 +27,7 @@ from fej_slam_ros.core.csam.rendezvous import (
     DEFAULT_RULES, Failed, JoinRules, Measurements, MIN_PER_OUTLIER, outlier_report, Rendezvous,
     rendezvous_of, RendezvousMeasurement, RobotPair, TEST_TOLERANCE)
 from fej_slam_ros.core.csam.shared_landmarks import (
-    align_by_landmarks, LandmarkAlignment, outlying_landmarks, variance_factor)
+    align_by_landmarks, contradicting_landmarks, LandmarkAlignment, variance_factor)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -62,17 +62,17 @@ def join_maps(
     rules : conditions for joining
 
     """
-    joiner = _TeamJoiner(maps, measurements, rules)
-    failed = joiner.apply(rendezvous_of(maps, measurements))
-    # Sessions with too few observations may suffice together.
+    merger = _MapMerger(maps, measurements, rules)
+    failed = merger.apply(rendezvous_of(maps, measurements))
+    # Rendezvous with too few observations may suffice together.
     pooled: dict[RobotPair, list[RendezvousMeasurement]] = {}
-    for (pair, session), _ in failed:
-        pooled.setdefault(pair, []).extend(session)
-    failed = joiner.apply([*pooled.items()])
+    for (pair, rendezvous), _ in failed:
+        pooled.setdefault(pair, []).extend(rendezvous)
+    failed = merger.apply([*pooled.items()])
     return JoinedMaps(
-        [match_landmarks(group.solved()) for group in joiner.groups],
-        [*joiner.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)],
-        joiner.landmark_outliers)
+        [match_landmarks(group.solved()) for group in merger.groups],
+        [*merger.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)],
+        merger.landmark_outliers)
 
 
 def alignment_window(measurements: Measurements) -> Measurements:
@@ -98,7 +98,7 @@ def rendezvous_between(
     return information(p, poses_p), information(q, poses_q), observations
 
 
-class _TeamJoiner:
+class _MapMerger:
     """
     Groups of joined robots, each with one map.
 
@@ -123,21 +123,21 @@ class _TeamJoiner:
         self._rules = replace(
             rules, variance_factor=variance_factor(self.groups, rules.min_shared))
 
-    def apply(self, sessions: Sequence[Rendezvous]) -> list[Failed]:
+    def apply(self, attempted: Sequence[Rendezvous]) -> list[Failed]:
         """Apply rendezvous until no more of them succeed; return those that failed."""
         failed: list[Failed] = []
         loops: list[Rendezvous] = []
-        for session in sessions:
-            p, *others = (g for g in self.groups if not set(session[0]).isdisjoint(g.robots))
+        for rendezvous in attempted:
+            p, *others = (g for g in self.groups if not set(rendezvous[0]).isdisjoint(g.robots))
             if not others:
-                loops.append(session)
-            elif failure := self._join(p, others[0], session, sessions, loops):
-                failed.append((session, failure))
+                loops.append(rendezvous)
+            elif failure := self._join(p, others[0], rendezvous, attempted, loops):
+                failed.append((rendezvous, failure))
         failed += self._close_loops(loops)
         # A rendezvous that fails may succeed after others have joined its robots.
-        if len(failed) in {0, len(sessions)}:
+        if len(failed) in {0, len(attempted)}:
             return failed
-        return self.apply([session for session, _ in failed])
+        return self.apply([rendezvous for rendezvous, _ in failed])
 
     def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:
         failed: list[Failed] = []
@@ -152,21 +152,21 @@ class _TeamJoiner:
         return failed
 
     def _join(
-        self, p: JointMap, q: JointMap, session: Rendezvous, sessions: Sequence[Rendezvous],
+        self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous],
         loops: list[Rendezvous],
     ) -> JoinFailure | None:
         """
         Join maps by shared landmarks, so that the rendezvous closes a loop, or else by it.
 
-        One that most of the sessions between the maps contradict does not join them.
+        One that most of those attempted between the maps contradict does not join them.
 
         """
         aligned = align_by_landmarks(p, q, self._rules.min_shared)
         is_by_landmarks = not isinstance(aligned, JoinFailure)
         if isinstance(aligned, JoinFailure):
-            joined = aligned if not session[1] else (
-                self._contradiction(p, q, session, sessions)
-                or self._joined_by_rendezvous(p, q, session))
+            joined = aligned if not rendezvous[1] else (
+                self._contradiction(p, q, rendezvous, attempted)
+                or self._joined_by_rendezvous(p, q, rendezvous))
         else:
             joined = self._joined_by_landmarks(p, q, aligned)
         if isinstance(joined, JoinFailure):
@@ -176,7 +176,7 @@ class _TeamJoiner:
             part.problem.forget_systems()
             self._information.pop(part, None)
         if is_by_landmarks:
-            loops.append(session)
+            loops.append(rendezvous)
         return None
 
     def _joined_by_landmarks(
@@ -190,7 +190,9 @@ class _TeamJoiner:
 
         """
         joined = self._solve(merged(p, q, aligned.base_node), [p, q], [])
-        d2 = outlying_landmarks(p, q, self._rules) if isinstance(joined, JoinFailure) else {}
+        if not isinstance(joined, JoinFailure):
+            return joined
+        d2 = contradicting_landmarks(p, q, self._rules)
         if not d2:
             return joined
         by_p, by_q = (_observations_of(part, d2) for part in (p, q))
@@ -209,15 +211,15 @@ class _TeamJoiner:
         return again
 
     def _contradiction(
-        self, p: JointMap, q: JointMap, session: Rendezvous, sessions: Sequence[Rendezvous]
+        self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous]
     ) -> JoinFailure | None:
-        """Return a failure if a session is not in the largest set of those that agree."""
+        """Return a failure if a rendezvous is not in the largest set of those that agree."""
         compared: list[Rendezvous] = []
         base_nodes: list[BaseNode] = []
-        for other in sessions:
-            # Whatever comes first, the session itself takes part.
-            if other is not session and (
-                    len(compared) - any(one is session for one in compared) >= MAX_COMPARED - 1
+        for other in attempted:
+            # Whatever comes first, the rendezvous itself takes part.
+            if other is not rendezvous and (
+                    len(compared) - any(one is rendezvous for one in compared) >= MAX_COMPARED - 1
                     or not other[1]
                     or any(set(other[0]).isdisjoint(group.robots) for group in (p, q))):
                 continue
@@ -227,17 +229,17 @@ class _TeamJoiner:
                 base_nodes.append(aligned[0])
         agreeing = [compared[k] for k in largest_agreement(base_nodes, self._rules)]
         # Of two that disagree either may be wrong; one that fails alone is reported by itself.
-        if len(compared) < 3 or not any(one is session for one in compared) or any(
-                one is session for one in agreeing):
+        if len(compared) < 3 or not any(one is rendezvous for one in compared) or any(
+                one is rendezvous for one in agreeing):
             return None
         return JoinFailure(
             f'inconsistent ({len(agreeing)} of {len(compared)} rendezvous agree, without it)')
 
     def _joined_by_rendezvous(
-        self, p: JointMap, q: JointMap, session: Rendezvous
+        self, p: JointMap, q: JointMap, rendezvous: Rendezvous
     ) -> JointMap | JoinFailure:
         """Return the joined maps, leaving out a few outliers at most."""
-        pair, measurements = session
+        pair, measurements = rendezvous
         aligned = self._aligned(p, q, measurements)
         if isinstance(aligned, JoinFailure):
             return aligned

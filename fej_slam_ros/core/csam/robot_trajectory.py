@@ -13,7 +13,7 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, inverse, rigid_fit, transform, transform_poses
-from fej_slam_ros.core.records import LandmarkKey, Motion, Observation, UNKNOWN_POSE
+from fej_slam_ros.core.records import LandmarkKey, Motion, Observation, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import Values
 
@@ -60,7 +60,7 @@ class RobotTrajectory:
 
     def lose(self, stamp: int, observations: tuple[Observation, ...]) -> None:
         """Go on in a new frame after a motion that is not known."""
-        self._start_anew(stamp, observations)
+        self._start_own_frame(stamp, observations)
         self._find()
 
     def place(
@@ -76,7 +76,7 @@ class RobotTrajectory:
         last, P_last = self._smoother.pose, self._smoother.P
         Phi, C = models.Phi(pose[:2] - last[:2]), models.G(last[2])
         Q = C.T @ (P + Phi @ P_last @ Phi.T) @ C
-        self._attach(self._start_anew(stamp, observations), pose, Q)
+        self._attach(self._start_own_frame(stamp, observations), pose, Q)
 
     def add(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
         """Add the next pose and the observations from it."""
@@ -168,7 +168,7 @@ class RobotTrajectory:
             return
         self._attach(lost, g)
 
-    def _start_anew(
+    def _start_own_frame(
         self, stamp: int, observations: tuple[Observation, ...]
     ) -> IncrementalSmoother:
         """Start a new frame; poses that are in no map by now are lost."""
@@ -177,7 +177,7 @@ class RobotTrajectory:
         return self._lost
 
     def _attach(
-        self, later: IncrementalSmoother, g: Array, Q: Array = UNKNOWN_POSE
+        self, later: IncrementalSmoother, g: Array, Q: Array = UNKNOWN_POSE_COVARIANCE
     ) -> None:
         """Append the poses since the robot was lost, in a frame with pose g (3,) in this one."""
         self.stamps += self._lost_stamps

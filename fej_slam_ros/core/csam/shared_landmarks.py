@@ -3,7 +3,8 @@
 """
 Alignment of two maps by the landmarks that both have, and the noise between maps.
 
-A landmark that one robot has from misread IDs only contradicts the others.
+If all observations of a landmark by one robot have a misread ID, it contradicts the other
+landmarks.
 """
 
 from collections import defaultdict
@@ -66,11 +67,13 @@ def align_by_landmarks(
     return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - 3, P)
 
 
-def outlying_landmarks(p: JointMap, q: JointMap, rules: JoinRules) -> dict[LandmarkKey, float]:
+def contradicting_landmarks(
+    p: JointMap, q: JointMap, rules: JoinRules
+) -> dict[LandmarkKey, float]:
     """
-    Return the shared landmarks that contradict the others, which fit, with their d2.
+    Return the d2 of the shared landmarks that contradict the others.
 
-    None are returned if these are too many to tell.
+    The result is empty if they are too many, or if the others do not fit.
 
     """
     index_p, index_q = p.landmark_index(), q.landmark_index()
@@ -100,10 +103,10 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
     """
     Return the variance of the residuals between maps, relative to that of the stated noise.
 
-    Errors that persist, such as the bias of a sensor, contradict maps of several robots more than
-    their covariances tell. The median over robots, of the median over pairs with each of them, is
-    that of most robots, whatever a single wrong map says; it is at least 1, and 1 if there are
-    less than three pairs.
+    Persistent errors, such as the bias of a sensor, make maps of several robots contradict each
+    other more than their covariances state. The result is the median over robots of the median
+    over the pairs of each, at least 1: a single wrong map does not change it. With less than three
+    pairs it is 1.
 
     """
     if len(maps) < MIN_MAP_PAIRS:
@@ -119,7 +122,7 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
     for pair, of in found:
         for k in pair:
             factors[k].append(of.chi_square / of.dof)
-    # Of three robots, a wrong map is in two of the three pairs, but only one robot has no other.
+    # With three robots, a wrong map is in two of three pairs, but only its own robot has no other.
     return max(1.0, median_low(map(median_low, factors.values())))
 
 

@@ -50,7 +50,7 @@ class ActiveSubmap:
 
         """
         if isinstance(state.covariance, CompressedCovariance):
-            x_hat = state.covariance.including(observed, state.x_hat)
+            x_hat = state.covariance.with_states(observed, state.x_hat)
             if x_hat is not None:
                 state.x_hat = x_hat
                 return

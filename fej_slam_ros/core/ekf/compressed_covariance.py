@@ -30,12 +30,13 @@ from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.pieces import pause, PIECE_ELEMENTS, product, ranges
 
-#: Flops of leaving a submap that take as long as one flop of an update: products of large matrices
-#: are faster than the update of a small one, which also has costs beside its flops.
+#: Flops of leaving a submap that take as long as one flop of an update: large products run at a
+#: higher rate, and an update has overhead.
 LEAVING_RATE = 16.0
 
-#: Number of multiplications above which covariances of many states are computed without the zeros
-#: of their combinations, or from a copy that leaves the submap; below, that costs more.
+#: Number of multiplications above which covariances of many states skip the zeros of their
+#: combinations, or are read from a copy that has left the submap; for fewer, the direct product is
+#: faster.
 MAX_DIRECT = 2e9
 
 
@@ -90,12 +91,12 @@ class CompressedCovariance:
         """Return those of all states and of the submap with its proxies."""
         return [self._whole.matrix, self._core.matrix]
 
-    def including(self, indices: Indices, x_hat: Array) -> Array | None:
+    def with_states(self, indices: Indices, x_hat: Array) -> Array | None:
         """
-        Let states enter the submap; return the estimate (n,) with them, or None to leave it.
+        Add states to the submap; return the estimate (n,) with them, or None if it is to be left.
 
-        It is to be left when its growth has cost as much as leaving it will, which is the least in
-        total for steady growth, or when it would exceed the joint state.
+        That is when its growth has cost as many flops as leaving it, the least total for steady
+        growth, or when it would exceed the joint state.
 
         """
         n, a, members = self.dimension, len(self._proxies), len(self._members)

@@ -16,20 +16,20 @@ import numpy as np
 from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.state import (
-    JointState, Landmark, ObservationColumns, Robot, Variable)
+from fej_slam_ros.core.ekf.state import JointState, Landmark, ObservationColumns, Robot, Variable
 from fej_slam_ros.core.geometry import Array, perpendicular
 from fej_slam_ros.core.ground_truth import Truth
-from fej_slam_ros.core.records import LandmarkKey, LOST_HEADING_SIGMA, PointKey, RendezvousKey
+from fej_slam_ros.core.records import (
+    LandmarkKey, MAX_LINEAR_HEADING_SIGMA, PointKey, RendezvousKey)
 
 Poses = dict[str, Array]
 Points = dict[LandmarkKey, Array]
 Variables = Sequence[Variable]
 TwoArrays = tuple[Array, Array]
 
-#: Standard deviation of a turn by odometry alone [rad] from which a robot of the invariant filter
-#: does not turn the landmarks that others observe.
-MAX_UNSEEN_TURN = 0.1
+#: Standard deviation [rad] of a robot's heading change since it last took part in an update,
+#: beyond which its landmarks no longer rotate with it.
+MAX_HEADING_DRIFT = 0.1
 
 
 class Linearization(Protocol):
@@ -102,7 +102,7 @@ class Standard:
     needs_truth: ClassVar[bool] = False
     default_iterations: ClassVar[int] = 1
     supports_submaps: ClassVar[bool] = True
-    max_turn_sigma: ClassVar[float] = LOST_HEADING_SIGMA
+    max_turn_sigma: ClassVar[float] = MAX_LINEAR_HEADING_SIGMA
 
     def __init__(self, truth: Truth | None = None) -> None:
         """Construct the policy; the ground truth is read only if `needs_truth`."""
@@ -245,10 +245,10 @@ class Invariant(Standard):
     theta and leaves every xi unchanged. Both stay unobservable with every Jacobian at the current
     estimate.
 
-    P is that of plain errors, so the prediction of a robot does not change its landmarks, and a
-    landmark may turn with another robot from any update on: the error of a robot that has turned
-    unseen for long is no longer that of the landmarks it started (`note_used`). Phi,
-    G, F and H are those of the standard EKF; only two parts differ: a correction is applied by the
+    P is that of plain errors, so a prediction does not change landmarks, and the robot that a
+    landmark rotates with may change at any update: once a robot's heading has drifted without
+    observations, its error is no longer that of the landmarks it started (`note_used`). Phi, G, F
+    and H are those of the standard EKF; only two parts differ: a correction is applied by the
     exponential map of each robot with its landmarks (`retract`), and as the update changes the
     estimate, so do the plain errors that correspond to an invariant error (`transport`).
 
@@ -286,13 +286,13 @@ class Invariant(Standard):
         return super().retract(state, x, turned)
 
     def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
-        """Let landmarks turn with their observers if their robots have turned unseen for long."""
+        """Let an observed landmark rotate with its observer if its own robot has drifted."""
         turned = {
             name for name, robot in state.robots.items()
-            if robot.turn_variance > MAX_UNSEEN_TURN ** 2}
+            if robot.turn_variance > MAX_HEADING_DRIFT ** 2}
         for observer, observed, _ in observations if turned else ():
-            if isinstance(observed, Landmark) and observed.turns_with in turned:
-                state.turn_with(observed, observer)
+            if isinstance(observed, Landmark) and observed.rotation_owner in turned:
+                state.set_rotation_owner(observed, observer)
 
     def transport(self, state: JointState, x_prior: Array) -> Transport:
         """Return A of equal theta and xi: dp becomes dp + J (p_hat - p_prior) theta."""

@@ -90,11 +90,11 @@ class Landmark:
     #: whether an observation since its first one has passed the gate
     is_reobserved: bool = False
     #: robot with whose heading the invariant filter turns it, at first its owner
-    turns_with: str = ''
+    rotation_owner: str = ''
 
     def __post_init__(self) -> None:
         self.last_accepted = self.created
-        self.turns_with = self.turns_with or self.owner
+        self.rotation_owner = self.rotation_owner or self.owner
 
     def was_moved(self) -> bool:
         """Return whether the landmark has likely been moved since it was mapped."""
@@ -168,8 +168,8 @@ class VariableSet:
         """
         Return the heading whose correction rotates each position.
 
-        A landmark rotates with the robot in `turns_with`, a rendezvous point with its owner, or
-        both with the first robot if that has left; landmarks of a prior map do not rotate.
+        A landmark rotates with its `rotation_owner`, a rendezvous point with its owner, or both
+        with the first robot if that has left; landmarks of a prior map do not rotate.
 
         Returns
         -------
@@ -183,7 +183,7 @@ class VariableSet:
             turning: list[Variable] = [*self.robots.values()]
             owners = [*self.robots.values()]
             points: list[tuple[Variable, str]] = [
-                (landmark, landmark.turns_with) for landmark in self.landmarks.values()]
+                (landmark, landmark.rotation_owner) for landmark in self.landmarks.values()]
             points += [(point, point.owner) for point in self.rendezvous_points.values()]
             for variable, name in points:
                 owner = self.robots.get(name, first) if name else None
@@ -195,9 +195,9 @@ class VariableSet:
             self._heading_owners = position_indices(turning), owner_of, headings
         return self._heading_owners
 
-    def turn_with(self, landmark: Landmark, robot: Robot) -> None:
+    def set_rotation_owner(self, landmark: Landmark, robot: Robot) -> None:
         """Let a landmark rotate with a robot from now on."""
-        landmark.turns_with, self._heading_owners = robot.name, None
+        landmark.rotation_owner, self._heading_owners = robot.name, None
 
     def _add(self, variable: Variable) -> None:
         self._heading_owners = self._headings = self._landmark_positions = None

@@ -15,7 +15,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Variable
 from fej_slam_ros.core.geometry import (
-    Array, compose, corrected, Indices, inverse, perpendicular, rigid_fit, rotation, transform,
+    Array, compose, Indices, inverse, perpendicular, poses_plus, rigid_fit, rotation, transform,
     wrap_all)
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
@@ -107,7 +107,7 @@ def fit(
         S = cho_factor(P_T + C @ P_L @ C.T, lower=True)
         information = D.T @ cho_solve(S, D)
         dg = np.linalg.solve(information, D.T @ cho_solve(S, r))
-        g = corrected(g[None], dg)[0]
+        g = poses_plus(g[None], dg)[0]
         if np.abs(dg).max() < FIT_TOLERANCE:
             break
     P = cho_solve(cho_factor(information), np.eye(3))

@@ -22,7 +22,7 @@ from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import JointState
-from fej_slam_ros.core.geometry import Array, corrected, wrap_all
+from fej_slam_ros.core.geometry import Array, poses_plus, wrap_all
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
@@ -79,7 +79,7 @@ class MapJoiner:
         if failure is not None:
             return failure
         try:
-            team.state = joined(team.state, local, found.pose, team.linearization)
+            team.state = joined_state(team.state, local, found.pose, team.linearization)
         except EndedError:
             return JoinFailure('the process ended before it could join')
         for key in keys:
@@ -146,7 +146,7 @@ class MapJoiner:
         found = self._accepted(team.state, group.state)
         if found is not None and found.heading_sigma() <= self._max_heading_sigma:
             with suppress(EndedError):
-                team.state = joined(
+                team.state = joined_state(
                     team.state, group.state, found.pose, team.linearization)
                 return True
         group.state.remove(robot)
@@ -165,7 +165,7 @@ def _from_first_robot(of: Filter) -> JointState:
     return of.state if robot is None else in_frame_of(of.state, robot, of.linearization)
 
 
-def joined(
+def joined_state(
     team: JointState, group: JointState, g: Array, linearization: Linearization
 ) -> JointState:
     """
@@ -196,7 +196,7 @@ def joined(
         np.eye(n, n + k + 3),
         np.hstack([np.zeros((len(first), n)), product(C, _picks(new, k), may_end=True), D])])
     x_new = (group.estimates() + dz[n:])[indices(new)]
-    g = corrected(g[None], dg)[0]
+    g = poses_plus(g[None], dg)[0]
     x_hat = np.concatenate([team.estimates() + dz[:n], carried(g, x_new, new)])
     x_first = np.concatenate([team.x_first, first])
     pause()

@@ -30,7 +30,7 @@ class InputStatistics:
         self.rejection_counts: defaultdict[str, Counter[RejectionReason]] = defaultdict(Counter)
         #: the newest rejections, until they are published
         self.rejections: deque[Rejection] = deque(maxlen=MAX_PENDING_REJECTIONS)
-        #: steps that were released after other robots had been advanced further
+        #: steps of a robot at stamps that other robots had already passed
         self.released_without: Counter[str] = Counter()
         #: restarts in an own frame, and the reason for the latest one of each robot
         self.relocalized: Counter[str] = Counter()
@@ -63,7 +63,7 @@ class InputStatistics:
         self.received[robot] += 1
         self.reject(Rejection(robot, stamp, reason))
 
-    def count_empty_scan(self, robot: str) -> None:
+    def count_fully_rejected_scan(self, robot: str) -> None:
         """Count a message as rejected whose observations were all rejected."""
         self.received[robot] += 1
         self.rejected[robot] += 1

@@ -13,7 +13,8 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap
 from fej_slam_ros.core.ordering.impossible_motion import (
     AT_ORIGIN, MAX_SPEED_RATIO, MIN_SPEED_BOUNDS)
-from fej_slam_ros.core.ordering.odometry_increments import corrected, scaled_increment
+from fej_slam_ros.core.ordering.odometry_increments import (
+    scaled_increment, without_systematic_errors)
 from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -34,7 +35,7 @@ def missed_motion(
     Return the motion from the start to the first odometry, or the reason why it is unknown.
 
     The motion u [m, m, rad] is in the frame of the base at the start. Systematic errors of
-    odometry are corrected as of a straight path.
+    odometry are without_systematic_errors as of a straight path.
 
     Parameters
     ----------
@@ -50,7 +51,7 @@ def missed_motion(
     increment = scaled_increment(first, second, robot)
     dt = (second.stamp - first.stamp) / NS
     duration = missed * dt
-    u = corrected(first.pose, duration, robot)
+    u = without_systematic_errors(first.pose, duration, robot)
     distance, turn = float(np.hypot(*u[:2])), abs(wrap(float(u[2])))
     speed, turn_rate = float(np.hypot(*increment.u[:2])) / dt, abs(float(increment.u[2])) / dt
     fastest = np.maximum(MAX_SPEED_RATIO * np.array([speed, turn_rate]), MIN_SPEED_BOUNDS)

@@ -33,9 +33,8 @@ import sys
 
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS, ReleaseKey, RobotQueue
-from fej_slam_ros.core.pieces import is_over
-from fej_slam_ros.core.records import (
-    AnyScan, merged, NS, Odometry, RobotScan, Scan, ScanT, Step)
+from fej_slam_ros.core.pieces import must_end
+from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, ScanT, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
@@ -169,7 +168,7 @@ class Sequencer:
         self._begun = True
         queues = list(self._queues.values())
         while keys := [queue.next_key for queue in queues if queue.next_key is not None]:
-            if is_over():
+            if must_end():
                 self._abandon()
                 return
             key = min(keys)

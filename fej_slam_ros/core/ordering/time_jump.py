@@ -136,7 +136,7 @@ class TimeJumpDetector:
         for record, received in jump.held:
             self.add(record, received)
 
-    def is_over(self) -> bool:
+    def has_ended_run(self) -> bool:
         """Return whether time has jumped back and another run is to follow."""
         return self._resets and self.jump is not None
 

@@ -16,8 +16,8 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, compose, transform, transform_poses
-from fej_slam_ros.core.models import G, joined
-from fej_slam_ros.core.records import Observation, UNKNOWN_POSE
+from fej_slam_ros.core.models import composed_increment, G
+from fej_slam_ros.core.records import Observation, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, LandmarkFactors, OdometryFactors, Problem, Row, Solution, stacked, TOLERANCE,
@@ -110,7 +110,7 @@ class IncrementalSmoother:
 
         """
         observations = [*observations]
-        increment = (u, Q) if self._passed is None else joined(*self._passed, u, Q)
+        increment = (u, Q) if self._passed is None else composed_increment(*self._passed, u, Q)
         self._new_increments.append((len(self) - 1, len(self), *increment))
         self._passed = None
         self._estimate(u, Q, observations)
@@ -119,7 +119,7 @@ class IncrementalSmoother:
             self.solve(DUE_TOLERANCE)
 
     def append(
-        self, later: 'IncrementalSmoother', g: Array, Q: Array = UNKNOWN_POSE
+        self, later: 'IncrementalSmoother', g: Array, Q: Array = UNKNOWN_POSE_COVARIANCE
     ) -> None:
         """
         Append the poses of a robot after a motion that is unknown from odometry.
@@ -158,7 +158,7 @@ class IncrementalSmoother:
     def pass_by(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
         """Move on without keeping a pose: only the newest one has the observations."""
         self._newest.add(u, Q, [*observations])
-        self._passed = (u, Q) if self._passed is None else joined(*self._passed, u, Q)
+        self._passed = (u, Q) if self._passed is None else composed_increment(*self._passed, u, Q)
 
     def solve(self, tolerance: float = TOLERANCE) -> Solution:
         """

@@ -24,7 +24,7 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping, SingularError
-from fej_slam_ros.core.geometry import Array, corrected, Indices, wrap_all
+from fej_slam_ros.core.geometry import Array, Indices, poses_plus, wrap_all
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky, diagonal, NormalEquations
@@ -360,7 +360,7 @@ class System:
 
     def retract(self, x: Values, dx: Array) -> Values:
         dx_poses, dx_points = np.split(dx, [x.poses.size])
-        return Values(corrected(x.poses, dx_poses), x.points + dx_points.reshape(-1, 2))
+        return Values(poses_plus(x.poses, dx_poses), x.points + dx_points.reshape(-1, 2))
 
     def has_converged(self, x: Values, dx: Array, decrease: float) -> bool:
         return bool(np.abs(dx).max(initial=0.0) < self.tolerance)

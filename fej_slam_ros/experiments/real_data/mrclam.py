@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import mean_nis, nees_per_dof
+from fej_slam_ros.core.consistency import nees_per_dof, total_nis_per_dof
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
@@ -191,7 +191,7 @@ def _filtered(
         _evaluated(
             task, data, trajectories,
             {landmark.id: landmark.position for landmark in estimator.landmarks()}, seconds),
-        nis=mean_nis(monitors), dead_reckoning={
+        nis=total_nis_per_dof(monitors), dead_reckoning={
             name: _drift(trajectories[name].stamps, np.array(odometry[name]), true)
             for name, true in _truth(data, trajectories).items()})
 

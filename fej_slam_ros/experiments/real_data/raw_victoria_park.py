@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import mean_nis
+from fej_slam_ros.core.consistency import total_nis_per_dof
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, rigid_fit, transform
@@ -95,7 +95,7 @@ def run(task: RawParkTask) -> RawParkRun:
     landmarks_of = score.landmarks(f.id for f in landmarks if f.id < NO_ID)
     return RawParkRun(
         task, np.hypot(*(antenna - fixes).T), _fitted(antenna, fixes), len(landmarks),
-        mean_nis(estimator.innovations.nis.values()), score.count(), score.false(),
+        total_nis_per_dof(estimator.innovations.nis.values()), score.count(), score.false(),
         sum(count > 1 for tree, count in landmarks_of.items() if tree != NO_ID),
         sum(counts['doubtful'] for counts in estimator.landmark_manager.counts.values()), seconds)
 

@@ -317,7 +317,7 @@ class SessionNode(SettingsNode):
             self._last_input = now = self._now()
             # Predicted poses do not wait for the steps.
             self._topics.publish(self._session.receive(RawMessage(topic, type_name, now, raw)))
-            if self._session.inputs.time_jump_detector.is_over() and not self._is_in_step:
+            if self._session.inputs.time_jump_detector.has_ended_run() and not self._is_in_step:
                 self.get_logger().warning('time jumped back: a new run begins')
                 self._restart()
 

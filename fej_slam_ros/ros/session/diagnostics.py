@@ -256,7 +256,7 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         return {
             'nis': round(nis.total, 3),
             'nis_dof': nis.dof,
-            'nis_ratio': round(nis.ratio(), 3),
+            'nis_ratio': round(nis.nis_per_dof(), 3),
             'nis_band': f'{low:.3f}..{high:.3f}',
             **self._clock_values(robot),
             **{f'unnamed_{event}': n for event, n in without_ids.items()},
@@ -288,7 +288,7 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         lost = self._consumer.innovations.lost_robots.reason(robot)
         if lost:
             # Covariances that are far too small are a cause, too.
-            is_overconfident = level > DiagnosticStatus.OK and nis.ratio() > 1.0
+            is_overconfident = level > DiagnosticStatus.OK and nis.nis_per_dof() > 1.0
             cause = f'; {message}' if is_overconfident else ''
             return DiagnosticStatus.ERROR, f'likely lost: {lost}{cause}'
         not_joined = self._consumer.groups.not_in_map.get(robot)
@@ -373,7 +373,7 @@ def _consistency(nis: NisMonitor) -> tuple[int, str]:
     """Return level and message of a robot in ``map`` by its NIS."""
     if nis.outside_for < NIS_PATIENCE:
         return DiagnosticStatus.OK, 'in map'
-    ratio = nis.ratio()
+    ratio = nis.nis_per_dof()
     over = ratio > 1.0
     factor = ratio if over else 1.0 / max(ratio, 1e-9)
     level = DiagnosticStatus.ERROR if factor >= NIS_ERROR else DiagnosticStatus.WARN

@@ -12,7 +12,7 @@ import numpy as np
 
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import PosePrior, PriorMap, UNKNOWN_POSE
+from fej_slam_ros.core.records import PosePrior, PriorMap, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
@@ -151,7 +151,7 @@ class EstimatorSession(Session):
                 f'the anchor {robot} has observed no landmark yet, so its pose defines map:'
                 f' publish {robot}/set_pose to place it elsewhere')
         stamp = self.inputs.health.newest.get(robot, groups.team.robots[robot].stamp)
-        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE)
+        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE_COVARIANCE)
 
     def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""

@@ -295,7 +295,7 @@ class Inputs:
             self._consumer.statistics.reject(rejection)
         if rejected and not scan.observations:
             # Unlike an empty scan, one whose observations are all rejected is not a step.
-            self._consumer.statistics.count_empty_scan(scan.robot)
+            self._consumer.statistics.count_fully_rejected_scan(scan.robot)
         else:
             self.health.flow(scan.robot, kind).observations += len(scan.observations)
             self.time_jump_detector.add(scan, received)

@@ -16,7 +16,7 @@ from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.records import PosePrior, UNKNOWN_POSE
+from fej_slam_ros.core.records import PosePrior, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.settings import CommonSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
@@ -171,7 +171,7 @@ class SmootherSession(Session):
         if trajectory is None or trajectory.is_lost:
             raise UsageError(f'{robot} is in no map: {self.team.not_in_map()[robot]}')
         stamp = self.inputs.health.newest.get(robot, trajectory.newest().stamp)
-        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE)
+        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE_COVARIANCE)
 
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""

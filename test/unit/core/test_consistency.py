@@ -76,7 +76,7 @@ def test_normalised_innovations_add_up():
     nis.add(1, [1.5])
 
     assert (nis.total, nis.dof) == (4.5, 6)
-    assert nis.ratio() == pytest.approx(0.75)
+    assert nis.nis_per_dof() == pytest.approx(0.75)
 
 
 def test_the_nis_ratio_and_band_are_of_the_latest_two_hundred_observations():
@@ -85,7 +85,7 @@ def test_the_nis_ratio_and_band_are_of_the_latest_two_hundred_observations():
     nis.add(1, [2.0] * 199)
     low, high = chi2.interval(0.999999, 400) / np.array(400)
 
-    assert nis.ratio() == pytest.approx((100.0 + 199 * 2.0) / 400)
+    assert nis.nis_per_dof() == pytest.approx((100.0 + 199 * 2.0) / 400)
     assert nis.band() == pytest.approx((low, high))
 
 

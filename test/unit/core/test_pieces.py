@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import pieces
-from fej_slam_ros.core.pieces import between_pieces, EndedError, is_over, pause, product, ranges
+from fej_slam_ros.core.pieces import between_pieces, EndedError, must_end, pause, product, ranges
 
 
 def test_ranges_cover_all_items_with_a_pause_between_them():
@@ -52,4 +52,4 @@ def test_the_functions_of_the_innermost_context_are_called():
     with between_pieces(lambda: pytest.fail('outer'), lambda: False):
         with between_pieces(lambda: None, lambda: True):
             assert pause()
-        assert not is_over()
+        assert not must_end()

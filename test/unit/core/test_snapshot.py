@@ -66,7 +66,7 @@ def figures(estimator):
     statistics = estimator.statistics
     return (
         estimator.state_hash(), vars(statistics), estimator.steps, estimator.groups.not_in_map,
-        {name: (nis.total, nis.dof, nis.outside_for, nis.ratio(), nis.band())
+        {name: (nis.total, nis.dof, nis.outside_for, nis.nis_per_dof(), nis.band())
          for name, nis in estimator.innovations.nis.items()},
         estimator.evaluation.scores, [estimator.used(name) for name in ('r1', 'r2', 'r3')])
 

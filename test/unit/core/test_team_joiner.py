@@ -11,7 +11,7 @@ from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import (
-    PosePrior, RendezvousKey, RobotObservation, RobotScan, UNKNOWN_POSE)
+    PosePrior, RendezvousKey, RobotObservation, RobotScan, UNKNOWN_POSE_COVARIANCE)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from helpers.core import turn
@@ -202,7 +202,7 @@ def test_a_pose_too_uncertain_to_linearise_restarts_its_robot_in_its_own_frame(j
 
 
 def test_a_pose_too_uncertain_to_linearise_leaves_a_robot_outside_map(joining):
-    joining.joiner.pose_priors.add(PosePrior('r2', 7, G, UNKNOWN_POSE))
+    joining.joiner.pose_priors.add(PosePrior('r2', 7, G, UNKNOWN_POSE_COVARIANCE))
 
     joining.joiner.apply_pose_priors('r2', 7)
 

@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What nobody has numbered gets a number, counts when it was seen again, else is forgotten."""
+"""Landmarks without IDs are created, confirmed by repeated observations, or deleted."""
 
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.data_association.landmark_manager import FieldOfView, VIEW_OBSERVATIONS
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import NO_ID, PosePrior, PriorMap, TrueLandmarks
+from fej_slam_ros.core.records import NO_ID, Observation, PosePrior, PriorMap, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.snapshot import restore, snapshot
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -26,7 +27,7 @@ def drive(*seen, robot='r1', at=(0.0, 0.0)):
 
 
 def unnamed(*points):
-    """Return points of which nobody knows what they are."""
+    """Return points without IDs."""
     return [(NO_ID, point) for point in points]
 
 
@@ -228,3 +229,32 @@ def test_robot_observations_are_not_matched():
     estimator = run([*records, meeting], settings=known)
 
     assert numbers(estimator) == ({-2, -3, -4}, set())
+
+
+def points_of_a_sector(rng, count):
+    """Return observations of points that are uniform in a sector of 10 m and 1 rad."""
+    r, beta = 10.0 * np.sqrt(rng.random(count)), rng.uniform(-1.0, 1.0, count)
+    return [
+        Observation(NO_ID, z, np.eye(2))
+        for z in np.column_stack([r * np.cos(beta), r * np.sin(beta)])]
+
+
+def test_the_field_of_view_contains_nearly_all_objects_of_a_sector():
+    view = FieldOfView()
+    view.add(points_of_a_sector(np.random.default_rng(1), VIEW_OBSERVATIONS))
+
+    # Quantiles of 95 %: sqrt(0.95) of the range, 0.95 of the bearing; 500 samples, three sigma.
+    assert view.range == pytest.approx(10.0 * np.sqrt(0.95), abs=0.15)
+    assert view.bearing == pytest.approx(0.95, abs=0.03)
+
+
+@pytest.mark.parametrize('far', [100.0, 65_535.0])
+def test_single_far_points_do_not_extend_the_field_of_view(far):
+    rng, view = np.random.default_rng(2), FieldOfView()
+    for k in range(100):
+        view.add(points_of_a_sector(rng, 5))
+        if k % 10 == 0:
+            view.add([Observation(NO_ID, np.array([-far, 0.0]), np.eye(2))])
+
+    assert view.range < 10.0
+    assert view.bearing < 1.0

@@ -86,7 +86,7 @@ def test_states_that_enter_a_submap_give_the_same_covariance_as_the_whole_state(
     _, x = happen(region, slots, np.random.default_rng(2))
     entering = [slots[17], slots[9]]
 
-    x = region.including(np.array([[*slot.indices] for slot in entering]), x)
+    x = region.with_states(np.array([[*slot.indices] for slot in entering]), x)
     again = [slots[0], *entering, *slots[3:6]]
     after = x.copy()
     for covariance, x_hat in ((whole, dx), (region, after)):

@@ -22,7 +22,7 @@ from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Stand
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import fit
-from fej_slam_ros.core.joining.map_joining import joined, MapJoiner
+from fej_slam_ros.core.joining.map_joining import joined_state, MapJoiner
 from fej_slam_ros.core.records import NS, Odometry, PosePrior, RendezvousKey, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
@@ -131,8 +131,8 @@ def test_a_join_tells_nothing_of_where_everything_is(kind, policy, noise, meetin
     see_each_other(team, group, meetings)
     g = fit(team, group).pose
 
-    certain = joined(team, group, g, policy())
-    state = joined(moved_as_a_whole(team, kind), group, g, policy())
+    certain = joined_state(team, group, g, policy())
+    state = joined_state(moved_as_a_whole(team, kind), group, g, policy())
 
     assert np.abs(certain.x_hat[:5] - team.x_hat[:5]).max() > 0.01
     # Rounding, by the condition of what both share.
@@ -193,7 +193,7 @@ def test_joining_conditions_on_what_is_shared_without_a_prior_of_the_frame():
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
     x, P = K @ r, P - K @ H @ P
 
-    state = joined(team, group, g, Standard())
+    state = joined_state(team, group, g, Standard())
 
     # A prior variance of 100 against 1e-3 of the maps, squared.
     assert_allclose(state.x_hat[:n], team.x_hat + x[:n], atol=1e-6)
@@ -214,7 +214,7 @@ def test_first_estimates_of_the_team_stay_and_new_ones_are_carried():
     team, group, _ = two_maps()
     g = fit(team, group).pose
 
-    state = joined(team, group, g, FirstEstimates())
+    state = joined_state(team, group, g, FirstEstimates())
 
     assert_array_equal(state.x_first[:len(team.x_first)], team.x_first)
     lone = state.landmarks['', 5]

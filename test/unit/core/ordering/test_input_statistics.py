@@ -31,7 +31,7 @@ def test_a_rejected_observation_does_not_count_as_a_rejected_message():
 def test_a_scan_of_rejected_observations_only_counts_as_a_rejected_message_without_a_reason():
     statistics = InputStatistics()
 
-    statistics.count_empty_scan('r1')
+    statistics.count_fully_rejected_scan('r1')
 
     assert (statistics.received['r1'], statistics.rejected['r1']) == (1, 1)
     assert not statistics.rejection_counts

@@ -35,7 +35,7 @@ def runs_of(messages, **options):
     for message in messages:
         runs[-1].receive(message)
         list(runs[-1].take())
-        if runs[-1].inputs.time_jump_detector.is_over():
+        if runs[-1].inputs.time_jump_detector.has_ended_run():
             list(runs[-1].close())
             runs.append(EstimatorSession(run_settings(**options), None))
             runs[-1].continue_from(runs[-2])

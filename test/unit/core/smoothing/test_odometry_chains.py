@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.core.records import UNKNOWN_POSE
+from fej_slam_ros.core.records import UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing import odometry_chains
 from fej_slam_ros.core.smoothing.least_squares import information, solve, Values
 from fej_slam_ros.core.smoothing.odometry_chains import ChainedIncrements, OdometryChains
@@ -112,7 +112,7 @@ def test_the_covariance_of_a_chain_does_not_depend_on_those_before_it(variance):
     for k in range(20):
         poses[k + 1] = compose(poses[k], u[k])
     Q = np.tile(variance * np.eye(3), (20, 1, 1))
-    Q[5] = UNKNOWN_POSE
+    Q[5] = UNKNOWN_POSE_COVARIANCE
     is_end = np.isin(np.arange(21), [0, 10, 20])
 
     def last_covariance(rows):
