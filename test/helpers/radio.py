@@ -83,7 +83,7 @@ class Radio:
     def __init__(self, robots, rng, loss=0.0, repeated=0.0, damage=lambda data: data):
         self.robots, self.now = robots, 0
         self._damage = damage
-        self.refused, self.bytes = Counter(), Counter()
+        self.rejected, self.bytes = Counter(), Counter()
         self._rng, self._loss, self._repeated = rng, loss, repeated
         self._later = []
 
@@ -110,7 +110,7 @@ class Radio:
     def _deliver(self, receiver, data):
         reason = self.robots[receiver].exchange.receive(self._damage(data), self.now)
         if reason is not None:
-            self.refused[reason] += 1
+            self.rejected[reason] += 1
 
 
 def poses_in_frame_of(team, robot):

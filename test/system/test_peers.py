@@ -162,7 +162,7 @@ def displaced(measurement, liar):
 
 
 @pytest.mark.parametrize('liar', ['r1', 'r3'])
-def test_a_robot_that_lies_is_refused_and_the_others_have_what_they_have_without_it(liar):
+def test_a_robot_that_lies_is_rejected_and_the_others_have_what_they_have_without_it(liar):
     names = ('r1', 'r2', 'r3')
     rng = np.random.default_rng(1)
     world = make_world(WorldSettings(

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 from fej_slam_ros.core.peers.logs import is_of, Knowledge, LogName
 from fej_slam_ros.core.peers.messages import (
-    BlockMessage, Hello, hellos, read, Refusal, RefusedError, write)
+    BlockMessage, Hello, hellos, MessageRejectedError, MessageRejection, read, write)
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import NS
 
@@ -57,7 +57,7 @@ class PeerState:
     logs: int | None = None  #: number of its logs of known robots by its last hello
     waited: int = 0  #: time in which measurements waited for rendezvous information [ns]
     bytes_received: int = 0
-    refused: Counter[Refusal] = field(default_factory=Counter)
+    rejected: Counter[MessageRejection] = field(default_factory=Counter)
 
 
 class PeerExchange:
@@ -75,7 +75,7 @@ class PeerExchange:
     ----------
     peers : the other robots by name
     bytes_sent, messages_sent : by kind, hello or block
-    refused_unread : messages that could not be read, by reason
+    rejected_unread : messages that could not be read, by reason
 
     """
 
@@ -84,7 +84,7 @@ class PeerExchange:
         self.peers = {name: PeerState() for name in sorted(settings.peers)}
         self.bytes_sent: Counter[str] = Counter()
         self.messages_sent: Counter[str] = Counter()
-        self.refused_unread: Counter[Refusal] = Counter()
+        self.rejected_unread: Counter[MessageRejection] = Counter()
         self._next_hello: int | None = None
         self._sent_at: dict[tuple[LogName, int, int], int] = {}
         self._saved, self._last = 0.0, 0
@@ -97,23 +97,23 @@ class PeerExchange:
             peer.others.clear()
             peer.logs = None
 
-    def receive(self, data: bytes, now: int) -> Refusal | None:
-        """Use a message; return the reason if it is refused."""
+    def receive(self, data: bytes, now: int) -> MessageRejection | None:
+        """Use a message; return the reason if it is rejected."""
         try:
             message = read(data)
-        except RefusedError as refused:
-            self.refused_unread[refused.reason] += 1
-            return refused.reason
+        except MessageRejectedError as rejected:
+            self.rejected_unread[rejected.reason] += 1
+            return rejected.reason
         if message.sender == self.logs.robot:
             is_echo = isinstance(message, Hello) and message.run == self.logs.run
             if is_echo or isinstance(message, BlockMessage):
                 return None
-            self.refused_unread[Refusal.SAME_NAME] += 1
-            return Refusal.SAME_NAME
+            self.rejected_unread[MessageRejection.SAME_NAME] += 1
+            return MessageRejection.SAME_NAME
         peer = self.peers.get(message.sender)
         if peer is None:
-            self.refused_unread[Refusal.UNKNOWN_ROBOT] += 1
-            return Refusal.UNKNOWN_ROBOT
+            self.rejected_unread[MessageRejection.UNKNOWN_ROBOT] += 1
+            return MessageRejection.UNKNOWN_ROBOT
         peer.bytes_received += len(data)
         if not self._is_in_reach(peer, now):
             peer.met, peer.hello = now, None
@@ -123,9 +123,9 @@ class PeerExchange:
                 self._hear(peer, message, now)
             else:
                 self._add(message, now)
-        except RefusedError as refused:
-            peer.refused[refused.reason] += 1
-            return refused.reason
+        except MessageRejectedError as rejected:
+            peer.rejected[rejected.reason] += 1
+            return rejected.reason
         return None
 
     def due(self, now: int) -> Iterator[bytes]:
@@ -170,7 +170,7 @@ class PeerExchange:
 
     def _hear(self, peer: PeerState, hello: Hello, now: int) -> None:
         if peer.run is not None and hello.run < peer.run:
-            raise RefusedError(Refusal.OLD_RUN)
+            raise MessageRejectedError(MessageRejection.OLD_RUN)
         if hello.run != peer.run:
             # It begins afresh, and may have lost what it knew.
             peer.run, peer.hello = hello.run, None
@@ -193,15 +193,15 @@ class PeerExchange:
         peer.logs = hello.logs - len(peer.others)
         if len(peer.others) > MAX_LOGS:
             peer.others.clear()
-            raise RefusedError(Refusal.BAD_CONTENT)
+            raise MessageRejectedError(MessageRejection.BAD_CONTENT)
         _, own = of_team.get(LogName(self.logs.robot), (heard, None))
         if own is not None and not self.logs.has_written(own):
-            raise RefusedError(Refusal.SAME_NAME)
+            raise MessageRejectedError(MessageRejection.SAME_NAME)
 
     def _add(self, message: BlockMessage, now: int) -> None:
         block = message.block
         if not is_of(block.log, {self.logs.robot, *self.peers}):
-            raise RefusedError(Refusal.UNKNOWN_ROBOT)
+            raise MessageRejectedError(MessageRejection.UNKNOWN_ROBOT)
         self.logs.add(block)
         # Whoever else has it need not send it at the same time.
         self._sent_at[block.log, block.run, block.number] = now

@@ -9,7 +9,7 @@ first blocks. Two robots that know n and m of them together know max(n, m): in w
 often and through whom blocks arrive, nothing is counted twice.
 
 The digest of the first n blocks is a chain: it contains the digest of the first n - 1 of them. Two
-logs with equal digests are equal; a block that does not follow the known digest is refused.
+logs with equal digests are equal; a block that does not follow the known digest is rejected.
 """
 
 from collections.abc import Collection, Iterator

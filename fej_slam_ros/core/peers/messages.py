@@ -4,7 +4,7 @@
 Messages between robots as bytes: *hello* (who, when, what I have) and *block* (a part of a log).
 
 All are small enough for one packet of a network, as a lost packet loses the whole message. Each
-has a checksum, and a digest by which a message of another version is refused, also if nobody
+has a checksum, and a digest by which a message of another version is rejected, also if nobody
 changed its number::
 
     3 bytes   'FEJ'
@@ -21,8 +21,7 @@ from enum import Enum
 import struct
 import zlib
 
-from fej_slam_ros.core.peers.logs import (
-    Block, DIGEST_SIZE, Knowledge, LogName, MAX_AHEAD)
+from fej_slam_ros.core.peers.logs import Block, DIGEST_SIZE, Knowledge, LogName, MAX_AHEAD
 from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
 
 #: Number of the format, and the records that blocks contain.
@@ -40,7 +39,7 @@ _STAMP, _COUNT, _RUN = struct.Struct('<q'), struct.Struct('<I'), struct.Struct('
 _CRC = struct.Struct('<I')
 
 
-class Refusal(str, Enum):
+class MessageRejection(str, Enum):
     """Reason why a message of another robot is not used; the value is its reported name."""
 
     TRUNCATED = 'truncated'
@@ -54,10 +53,10 @@ class Refusal(str, Enum):
     BAD_CONTENT = 'bad_content'
 
 
-class RefusedError(Exception):
+class MessageRejectedError(Exception):
     """A message is not used."""
 
-    def __init__(self, reason: Refusal) -> None:
+    def __init__(self, reason: MessageRejection) -> None:
         super().__init__(reason.value)
         self.reason = reason
 
@@ -93,23 +92,23 @@ def write(message: Message) -> bytes:
 
 
 def read(data: bytes) -> Message:
-    """Return the message in some bytes, or raise a RefusedError."""
+    """Return the message in some bytes, or raise a MessageRejectedError."""
     if len(data) < len(TITLE) + 1 + _CRC.size:
-        raise RefusedError(Refusal.TRUNCATED)
+        raise MessageRejectedError(MessageRejection.TRUNCATED)
     if len(data) > MAX_SIZE:
-        raise RefusedError(Refusal.CORRUPT)
+        raise MessageRejectedError(MessageRejection.CORRUPT)
     if not data.startswith(TITLE):
-        raise RefusedError(Refusal.OTHER_VERSION)
+        raise MessageRejectedError(MessageRejection.OTHER_VERSION)
     frame, crc = data[:-_CRC.size], data[-_CRC.size:]
     if _CRC.unpack(crc) != (zlib.crc32(frame),):
-        raise RefusedError(Refusal.CORRUPT)
+        raise MessageRejectedError(MessageRejection.CORRUPT)
     kind, reader = data[len(TITLE)], _MessageReader(frame, len(TITLE) + 1)
     sender = reader.text()
     if kind == _HELLO:
         return _read_hello(reader, sender)
     if kind == _BLOCK:
         return _read_block(reader, sender)
-    raise RefusedError(Refusal.CORRUPT)
+    raise MessageRejectedError(MessageRejection.CORRUPT)
 
 
 def hellos(
@@ -158,7 +157,7 @@ def _read_hello(reader: '_MessageReader', sender: str) -> Hello:
     logs, = reader.numbers(_COUNT)
     count, = reader.numbers(_COUNT)
     if count > MAX_SIZE:
-        raise RefusedError(Refusal.CORRUPT)
+        raise MessageRejectedError(MessageRejection.CORRUPT)
     return Hello(sender, run, stamp, logs, tuple(_read_knowledge(reader) for _ in range(count)))
 
 
@@ -199,7 +198,7 @@ class _MessageReader:
     def take(self, size: int) -> bytes:
         begin, self._at = self._at, self._at + size
         if self._at > len(self._frame):
-            raise RefusedError(Refusal.TRUNCATED)
+            raise MessageRejectedError(MessageRejection.TRUNCATED)
         return self._frame[begin:self._at]
 
     def numbers(self, form: struct.Struct) -> tuple[int, ...]:
@@ -209,7 +208,7 @@ class _MessageReader:
         try:
             return self.take(self.take(1)[0]).decode()
         except UnicodeDecodeError as error:
-            raise RefusedError(Refusal.CORRUPT) from error
+            raise MessageRejectedError(MessageRejection.CORRUPT) from error
 
     def log_name(self) -> LogName:
         return LogName(self.text(), self.text())

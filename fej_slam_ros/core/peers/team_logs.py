@@ -9,9 +9,8 @@ from typing import Any
 
 from fej_slam_ros.core.peers.blocks import (
     BadBlockError, decoded, encoded, Measurement, RestOfRobotScan, RestOfScan)
-from fej_slam_ros.core.peers.logs import (
-    Block, Knowledge, Log, LogName, MAX_AHEAD, NO_DIGEST)
-from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE, Refusal, RefusedError
+from fej_slam_ros.core.peers.logs import Block, Knowledge, Log, LogName, MAX_AHEAD, NO_DIGEST
+from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE, MessageRejectedError, MessageRejection
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
@@ -101,7 +100,7 @@ class TeamLogs:
 
     def add(self, block: Block) -> bool:
         """
-        Add a block; return whether it is new, and raise a RefusedError if it cannot be used.
+        Add a block; return whether it is new. A MessageRejectedError says that it cannot be used.
 
         Blocks may arrive in any order and any number of times.
 
@@ -110,13 +109,13 @@ class TeamLogs:
         if log.contains(block.number):
             known = log.block(block.number)
             if (known.digest, known.content) != (block.digest, block.content):
-                raise RefusedError(Refusal.CONTRADICTION)
+                raise MessageRejectedError(MessageRejection.CONTRADICTION)
             return False
         if block.number >= (MAX_INFORMATION if block.log.about else len(log.blocks) + MAX_AHEAD):
-            raise RefusedError(Refusal.TOO_FAR_AHEAD)
+            raise MessageRejectedError(MessageRejection.TOO_FAR_AHEAD)
         if log is not self.logs.get(block.log):
             if block.digest != NO_DIGEST:
-                raise RefusedError(Refusal.CONTRADICTION)
+                raise MessageRejectedError(MessageRejection.CONTRADICTION)
             if not block.log.about:
                 _checked_content(block)
             self._replace(log)
@@ -173,11 +172,11 @@ class TeamLogs:
         """Return the log that a block belongs to, a new one for a new run of its author."""
         log = self.logs.get(block.log)
         if log is not None and block.run < log.run:
-            raise RefusedError(Refusal.OLD_RUN)
+            raise MessageRejectedError(MessageRejection.OLD_RUN)
         is_known = log is not None and block.run == log.run
         if block.log.author == self.robot and not (
                 is_known and log is not None and log.contains(block.number)):
-            raise RefusedError(Refusal.SAME_NAME)
+            raise MessageRejectedError(MessageRejection.SAME_NAME)
         if log is not None and is_known:
             return log
         if log is None:
@@ -185,7 +184,7 @@ class TeamLogs:
             return self.logs[block.log]
         if block.number > 0:
             # What is known is replaced only by a run that begins well.
-            raise RefusedError(Refusal.TOO_FAR_AHEAD)
+            raise MessageRejectedError(MessageRejection.TOO_FAR_AHEAD)
         return Log(block.log, block.run)
 
     def _replace(self, log: Log) -> None:
@@ -199,13 +198,13 @@ class TeamLogs:
         while (block := log.ahead.get(len(log.blocks))) is not None:
             try:
                 if block.digest != log.digests[-1]:
-                    raise RefusedError(Refusal.CONTRADICTION)
+                    raise MessageRejectedError(MessageRejection.CONTRADICTION)
                 if not log.name.about:
                     self._use(log.name.author, block)
-            except RefusedError as refused:
+            except MessageRejectedError as rejected:
                 # What follows may not be what the author wrote either.
                 log.ahead.clear()
-                log.is_ended = refused.reason is Refusal.BAD_CONTENT
+                log.is_ended = rejected.reason is MessageRejection.BAD_CONTENT
                 raise
             del log.ahead[block.number]
             self._new_blocks.append(log.append(block.content))
@@ -217,7 +216,7 @@ class TeamLogs:
         else:
             known = [*self._last.get(author, ())]
             if not _appended(known, content):
-                raise RefusedError(Refusal.BAD_CONTENT)
+                raise MessageRejectedError(MessageRejection.BAD_CONTENT)
             self._last[author] = known[-1:]
 
     def _close_full_blocks(self) -> None:
@@ -242,13 +241,13 @@ class TeamLogs:
 
 
 def _checked_content(block: Block) -> NoiseSettings | list[Measurement]:
-    """Return what is in a block of a log of measurements, or raise a RefusedError."""
+    """Return what is in a block of a log of measurements, or raise a MessageRejectedError."""
     try:
         if block.number == 0:
             return _read_noise(block.content)
         return decoded(block.content, block.log.author)
     except BadBlockError:
-        raise RefusedError(Refusal.BAD_CONTENT) from None
+        raise MessageRejectedError(MessageRejection.BAD_CONTENT) from None
 
 
 def _divided(measurement: Measurement) -> Iterator[Measurement]:

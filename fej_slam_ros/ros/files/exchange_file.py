@@ -15,7 +15,8 @@ from pathlib import Path
 
 from fej_slam_ros.atomic_files import writing
 from fej_slam_ros.core.peers.logs import Block
-from fej_slam_ros.core.peers.messages import BlockMessage, MAX_SIZE, read, RefusedError, write
+from fej_slam_ros.core.peers.messages import (
+    BlockMessage, MAX_SIZE, MessageRejectedError, read, write)
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import OutputLock
 
@@ -83,7 +84,7 @@ class ExchangeFile:
                 break
             try:
                 message = read(content[begin:end])
-            except RefusedError:
+            except MessageRejectedError:
                 raise self._unusable('is damaged or no exchange_file') from None
             if not isinstance(message, BlockMessage) or message.sender != self._robot:
                 raise self._unusable(f'is not an exchange_file of {self._robot}')

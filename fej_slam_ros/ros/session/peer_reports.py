@@ -12,7 +12,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import PeerExchange
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.messages import Refusal
+from fej_slam_ros.core.peers.messages import MessageRejection
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import Meeting
 from fej_slam_ros.ros.messages import Message, outgoing
@@ -22,17 +22,18 @@ from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.run_log import Missing, SmootherLog
 
-#: What users have to know of each refusal.
+#: What users have to know of each rejection.
 EXPLANATIONS = {
-    Refusal.TRUNCATED: 'it is incomplete',
-    Refusal.OTHER_VERSION: 'it is not of this version of fej_slam_ros',
-    Refusal.CORRUPT: 'its checksum is wrong',
-    Refusal.UNKNOWN_ROBOT: 'it is of a robot that is not in peers',
-    Refusal.SAME_NAME: 'another robot has the name of this one, or its exchange_file was deleted',
-    Refusal.OLD_RUN: 'it is of an earlier run of its author',
-    Refusal.TOO_FAR_AHEAD: 'what comes before it is missing',
-    Refusal.CONTRADICTION: 'it differs from what was received before',
-    Refusal.BAD_CONTENT: 'it contains no possible measurements',
+    MessageRejection.TRUNCATED: 'it is incomplete',
+    MessageRejection.OTHER_VERSION: 'it is not of this version of fej_slam_ros',
+    MessageRejection.CORRUPT: 'its checksum is wrong',
+    MessageRejection.UNKNOWN_ROBOT: 'it is of a robot that is not in peers',
+    MessageRejection.SAME_NAME:
+        'another robot has the name of this one, or its exchange_file was deleted',
+    MessageRejection.OLD_RUN: 'it is of an earlier run of its author',
+    MessageRejection.TOO_FAR_AHEAD: 'what comes before it is missing',
+    MessageRejection.CONTRADICTION: 'it differs from what was received before',
+    MessageRejection.BAD_CONTENT: 'it contains no possible measurements',
 }
 
 
@@ -47,22 +48,22 @@ class PeerDiagnostics(SmootherDiagnostics):
     ) -> None:
         super().__init__(team, inputs, clock_limit)
         self._exchange = exchange
-        # Refused messages of each robot at the last report.
-        self._refused_before: dict[str, Counter[Refusal]] = {}
+        # Rejected messages of each robot at the last report.
+        self._rejected_before: dict[str, Counter[MessageRejection]] = {}
 
     def _with_faults(self, robot: str, now: int, level: int, message: str) -> tuple[int, str]:
         """Add the conditions of the input, or for another robot whether it is in reach."""
         if robot == self._consumer.robot:
             return super()._with_faults(robot, now, level, message)
         in_reach = robot in self._exchange.in_reach(monotonic_ns())
-        total = self._exchange.peers[robot].refused
-        refused = total - self._refused_before.get(robot, Counter())
-        self._refused_before[robot] = total.copy()
+        total = self._exchange.peers[robot].rejected
+        rejected = total - self._rejected_before.get(robot, Counter())
+        self._rejected_before[robot] = total.copy()
         reach = 'in reach' if in_reach else 'out of reach'
-        if not refused:
+        if not rejected:
             return level, f'{message}; {reach}'
-        reasons = ', '.join(f'{count} {reason.value}' for reason, count in refused.items())
-        return max(level, DiagnosticStatus.WARN), f'{message}; {reach}; refused: {reasons}'
+        reasons = ', '.join(f'{count} {reason.value}' for reason, count in rejected.items())
+        return max(level, DiagnosticStatus.WARN), f'{message}; {reach}; rejected: {reasons}'
 
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that the own robot sends no odometry, None if it does."""
@@ -91,7 +92,7 @@ class PeerDiagnostics(SmootherDiagnostics):
 
     def _overall(self, now: int, at_rest: bool) -> Message:
         status = super()._overall(now, at_rest)
-        sent, unread = self._exchange.bytes_sent, self._exchange.refused_unread
+        sent, unread = self._exchange.bytes_sent, self._exchange.rejected_unread
         status.values += outgoing.key_values({
             'exchange_bytes_hello': sent['hello'], 'exchange_bytes_blocks': sent['block'],
             'exchange_messages': self._exchange.messages_sent.total(),
@@ -101,7 +102,7 @@ class PeerDiagnostics(SmootherDiagnostics):
 
 
 class PeerLog(SmootherLog):
-    """The log of one run: who is in reach, what is known of their poses, what is refused."""
+    """The log of one run: who is in reach, what is known of their poses, what is rejected."""
 
     def __init__(self, team: PeerSmoother, inputs: Inputs, exchange: PeerExchange) -> None:
         super().__init__(team, inputs)
@@ -109,10 +110,10 @@ class PeerLog(SmootherLog):
         self._exchange = exchange
         self._in_reach: set[str] = set()
         self._aligned: set[str] = set()
-        self._refused: set[tuple[str, Refusal]] = set()
+        self._rejected: set[tuple[str, MessageRejection]] = set()
 
     def check(self, now: int) -> None:
-        """Add the lines of input that stopped, of robots that come and go, and of refusals."""
+        """Add the lines of input that stopped, of robots that come and go, and of rejections."""
         super().check(now)
         in_reach = {*self._exchange.in_reach(monotonic_ns())}
         for name in sorted(in_reach - self._in_reach):
@@ -120,15 +121,15 @@ class PeerLog(SmootherLog):
         for name in sorted(self._in_reach - in_reach):
             self.add(LogSeverity.INFO, f'{name} is out of reach')
         self._in_reach = in_reach
-        refused = {'': self._exchange.refused_unread} | {
-            name: peer.refused for name, peer in self._exchange.peers.items()}
-        for name, reasons in refused.items():
+        rejected = {'': self._exchange.rejected_unread} | {
+            name: peer.rejected for name, peer in self._exchange.peers.items()}
+        for name, reasons in rejected.items():
             for reason in reasons:
-                if (name, reason) not in self._refused:
-                    self._refused.add((name, reason))
+                if (name, reason) not in self._rejected:
+                    self._rejected.add((name, reason))
                     sender = name or 'an unknown sender'
                     self.add(LogSeverity.WARN, (
-                        f'a message of {sender} is refused: {EXPLANATIONS[reason]}'))
+                        f'a message of {sender} is rejected: {EXPLANATIONS[reason]}'))
 
     def add_meeting(self, peer: str, meeting: Meeting) -> None:
         """Add a line when the first rendezvous tells where another robot is."""

@@ -16,10 +16,9 @@ from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
 from fej_slam_ros.core.peers.logs import Block, LogName
-from fej_slam_ros.core.peers.messages import RefusedError
+from fej_slam_ros.core.peers.messages import MessageRejectedError
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
-from fej_slam_ros.core.peers.rendezvous_window import (
-    meet, Meeting, meeting_task, MeetingTask)
+from fej_slam_ros.core.peers.rendezvous_window import meet, Meeting, meeting_task, MeetingTask
 from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
@@ -132,9 +131,9 @@ class PeerSession(SmootherSession):
         try:
             for block in blocks:
                 logs.restore(block)
-        except RefusedError as refused:
+        except MessageRejectedError as rejected:
             raise UserError(
-                f'exchange_file {self.settings.node.exchange_file} is damaged ({refused}): move'
+                f'exchange_file {self.settings.node.exchange_file} is damaged ({rejected}): move'
                 ' it away to begin a new run') from None
         if blocks and logs.noise()[logs.robot] != noise_of(own):
             raise UserError(
@@ -197,7 +196,7 @@ class PeerSession(SmootherSession):
         yield from self.outputs.of_solution()
 
     def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
-        """Refuse it: the file of the exchange has all measurements at any time."""
+        """Reject it: the file of the exchange has all measurements at any time."""
         raise UsageError(
             "a smoother with 'peers' has no checkpoints: it keeps all measurements in the file of"
             " the parameter 'exchange_file'")

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Measurements as bytes: exact, and refused where they are none."""
+"""Measurements as bytes: exact, and rejected where they are none."""
 
 from dataclasses import fields
 import zlib
@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.peers.blocks import BadBlockError, decoded, encoded, MAX_CONTENT
-from fej_slam_ros.core.records import (
-    Observation, Odometry, RobotObservation, RobotScan, Scan)
+from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
 
 R = np.array([[0.04, 0.01], [0.01, 0.02]])
 
@@ -59,12 +58,12 @@ def test_no_measurements_are_a_block_too():
     [Scan('p', 1, (Observation(3, np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]])),))],
     [Scan('p', 1, (Observation(-1, np.zeros(2), R),))],
 ])
-def test_what_no_robot_measures_is_refused(bad):
+def test_what_no_robot_measures_is_rejected(bad):
     with pytest.raises(BadBlockError):
         decoded(encoded(bad), 'p')
 
 
-def test_every_shorter_or_longer_content_is_refused():
+def test_every_shorter_or_longer_content_is_rejected():
     content = zlib.decompress(encoded(measurements()))
 
     for wrong in [content[:k] for k in range(len(content))] + [content + b'\0']:
@@ -72,7 +71,7 @@ def test_every_shorter_or_longer_content_is_refused():
             decoded(zlib.compress(wrong), 'p')
 
 
-def test_random_bytes_are_refused():
+def test_random_bytes_are_rejected():
     rng = np.random.default_rng(1)
     for size in range(200):
         for data in (rng.bytes(size), zlib.compress(rng.bytes(size))):

@@ -9,7 +9,7 @@ import pytest
 
 from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.messages import BlockMessage, read, Refusal, write
+from fej_slam_ros.core.peers.messages import BlockMessage, MessageRejection, read, write
 from fej_slam_ros.core.records import NS, Observation, Odometry, Scan
 from helpers.radio import Radio, Robot, team_settings, TICK
 
@@ -160,9 +160,9 @@ def test_messages_of_yesterday_change_nothing():
     radio = Radio(robots, np.random.default_rng(1))
     radio.run(5.0)
 
-    refused = {robots['q'].exchange.receive(data, radio.now) for data in old}
+    rejected = {robots['q'].exchange.receive(data, radio.now) for data in old}
 
-    assert refused == {Refusal.OLD_RUN}
+    assert rejected == {MessageRejection.OLD_RUN}
     radio.run(5.0)
     assert known(robots['q'], 'p') == of(driven)
 
@@ -179,19 +179,19 @@ def test_a_robot_that_begins_afresh_is_given_everything_again():
     assert known(robots['q'], 'p') == of(driven)
 
 
-def test_a_robot_that_is_not_a_peer_is_refused_by_name():
+def test_a_robot_that_is_not_a_peer_is_rejected_by_name():
     robots = team('p', 'q')
     stranger = team('q', 'stranger')['stranger']
     drive(stranger)
 
-    refused = {robots['q'].exchange.receive(data, k * NS)
+    rejected = {robots['q'].exchange.receive(data, k * NS)
                for k in range(3) for data in stranger.exchange.due(k * NS)}
 
-    assert refused == {Refusal.UNKNOWN_ROBOT}
-    assert robots['q'].exchange.refused_unread[Refusal.UNKNOWN_ROBOT] == 3
+    assert rejected == {MessageRejection.UNKNOWN_ROBOT}
+    assert robots['q'].exchange.rejected_unread[MessageRejection.UNKNOWN_ROBOT] == 3
 
 
-def test_random_changes_of_messages_are_refused_and_the_rest_arrives():
+def test_random_changes_of_messages_are_rejected_and_the_rest_arrives():
     robots = team('p', 'q')
     driven = drive(robots['p'])
     rng = np.random.default_rng(3)
@@ -206,9 +206,9 @@ def test_random_changes_of_messages_are_refused_and_the_rest_arrives():
     radio.run(20.0)
 
     assert known(robots['q'], 'p') == of(driven)
-    assert radio.refused.keys() <= {
-        Refusal.CORRUPT, Refusal.TRUNCATED, Refusal.OTHER_VERSION}
-    assert radio.refused.total() > 10
+    assert radio.rejected.keys() <= {
+        MessageRejection.CORRUPT, MessageRejection.TRUNCATED, MessageRejection.OTHER_VERSION}
+    assert radio.rejected.total() > 10
 
 
 def test_contacts_that_are_short_add_up():
@@ -233,7 +233,7 @@ def test_a_second_robot_of_the_same_name_is_named_by_the_first():
 
     radio.run(2.0)
 
-    assert robots['p'].exchange.peers['q'].refused[Refusal.SAME_NAME] > 0
+    assert robots['p'].exchange.peers['q'].rejected[MessageRejection.SAME_NAME] > 0
 
 
 def test_hellos_are_heard_again_after_the_clock_of_a_robot_has_gone_back():
@@ -269,7 +269,7 @@ def test_logs_of_robots_outside_of_the_team_are_neither_stored_nor_waited_for():
     block = stranger.logs.logs[LogName('stranger')].block(0)
     data = write(BlockMessage('q', block))
 
-    assert robots['p'].exchange.receive(data, 0) is Refusal.UNKNOWN_ROBOT
+    assert robots['p'].exchange.receive(data, 0) is MessageRejection.UNKNOWN_ROBOT
     about = write(BlockMessage('q', replace(block, log=LogName('q', 'x'))))
-    assert robots['p'].exchange.receive(about, 0) is Refusal.UNKNOWN_ROBOT
+    assert robots['p'].exchange.receive(about, 0) is MessageRejection.UNKNOWN_ROBOT
     assert robots['p'].logs.logs.keys() == {LogName('p')}

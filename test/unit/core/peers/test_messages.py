@@ -1,12 +1,13 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages between robots: whole, small, and refused by name where they are damaged."""
+"""Messages between robots: whole, small, and rejected by name where they are damaged."""
 
 import pytest
 
 from fej_slam_ros.core.peers.logs import Block, Knowledge, LogName, NO_DIGEST
 from fej_slam_ros.core.peers.messages import (
-    BlockMessage, Hello, hellos, MAX_BLOCK_SIZE, MAX_SIZE, read, Refusal, RefusedError, write)
+    BlockMessage, Hello, hellos, MAX_BLOCK_SIZE, MAX_SIZE, MessageRejectedError, MessageRejection,
+    read, write)
 
 HELLO = Hello('p', 5, 17, 3, (
     Knowledge(LogName('p'), 5, 12, b'abcdefgh', frozenset({14, 20, 267})),
@@ -20,11 +21,11 @@ def test_a_message_is_read_as_it_was_written(message):
 
 
 @pytest.mark.parametrize('message', [HELLO, BLOCK])
-def test_a_message_with_a_changed_byte_or_without_its_end_is_refused(message):
+def test_a_message_with_a_changed_byte_or_without_its_end_is_rejected(message):
     data = write(message)
     for k in range(len(data)):
         for wrong in (data[:k], data[:k] + bytes([data[k] ^ 1]) + data[k + 1:]):
-            with pytest.raises(RefusedError):
+            with pytest.raises(MessageRejectedError):
                 read(wrong)
 
 
@@ -32,9 +33,9 @@ def test_another_version_is_named():
     data = bytearray(write(HELLO))
     data[3] ^= 1
 
-    with pytest.raises(RefusedError) as refused:
+    with pytest.raises(MessageRejectedError) as rejected:
         read(bytes(data))
-    assert refused.value.reason is Refusal.OTHER_VERSION
+    assert rejected.value.reason is MessageRejection.OTHER_VERSION
 
 
 def test_a_block_of_full_size_fits_into_one_packet():
@@ -49,10 +50,10 @@ def test_a_block_of_full_size_fits_into_one_packet():
     assert MAX_SIZE <= 1500 - 28 - 100
 
 
-def test_a_message_that_no_robot_sends_is_refused_by_its_size():
+def test_a_message_that_no_robot_sends_is_rejected_by_its_size():
     block = Block(LogName('p'), 1, 1, NO_DIGEST, bytes(MAX_SIZE))
 
-    with pytest.raises(RefusedError):
+    with pytest.raises(MessageRejectedError):
         read(write(BlockMessage('p', block)))
 
 

@@ -88,7 +88,7 @@ def test_without_a_rendezvous_there_is_nothing_to_tell():
     assert robots['p'].meet('q') is None
 
 
-def test_a_rendezvous_that_contradicts_the_maps_is_refused_with_its_chi_square():
+def test_a_rendezvous_that_contradicts_the_maps_is_rejected_with_its_chi_square():
     rng = np.random.default_rng(0)
 
     def displaced(record):
@@ -107,7 +107,7 @@ def test_a_rendezvous_that_contradicts_the_maps_is_refused_with_its_chi_square()
     assert 'inconsistent (chi-square' in failure.reason
 
 
-def test_information_is_read_as_it_was_written_and_a_part_of_it_is_refused():
+def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
     robots, _ = met('map_joining')
     robots['p'].meet('q')
     message = b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks)

@@ -10,7 +10,7 @@ import pytest
 from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.peers.blocks import encoded, RestOfScan
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE, Refusal, RefusedError
+from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE, MessageRejectedError, MessageRejection
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.settings import NoiseSettings
@@ -44,10 +44,10 @@ def receiver():
     return TeamLogs('p', 1, NOISE)
 
 
-def refusal(logs, block):
-    with pytest.raises(RefusedError) as refused:
+def rejection(logs, block):
+    with pytest.raises(MessageRejectedError) as rejected:
         logs.add(block)
-    return refused.value.reason
+    return rejected.value.reason
 
 
 def contents(records):
@@ -124,44 +124,44 @@ def test_a_log_cannot_begin_with_the_rest_of_a_scan():
 
     rest = replace(second, content=encoded([RestOfScan('q', 1, ())]))
 
-    assert refusal(logs, rest) is Refusal.BAD_CONTENT
+    assert rejection(logs, rest) is MessageRejection.BAD_CONTENT
 
 
-def test_a_block_that_differs_from_the_known_one_is_refused():
+def test_a_block_that_differs_from_the_known_one_is_rejected():
     sender, _ = written()
     logs, (first, second, *_) = receiver(), blocks_of(sender)
     logs.add(first)
     logs.add(second)
 
-    assert refusal(logs, replace(second, content=encoded([]))) is Refusal.CONTRADICTION
-    assert refusal(logs, replace(second, digest=b'12345678')) is Refusal.CONTRADICTION
+    assert rejection(logs, replace(second, content=encoded([]))) is MessageRejection.CONTRADICTION
+    assert rejection(logs, replace(second, digest=b'12345678')) is MessageRejection.CONTRADICTION
 
 
-def test_a_block_that_does_not_follow_the_known_ones_is_refused():
+def test_a_block_that_does_not_follow_the_known_ones_is_rejected():
     one, _ = written(seed=0)
     other, _ = written(seed=1)
     logs = receiver()
     for block in blocks_of(one)[:3]:
         logs.add(block)
 
-    assert refusal(logs, blocks_of(other)[3]) is Refusal.CONTRADICTION
+    assert rejection(logs, blocks_of(other)[3]) is MessageRejection.CONTRADICTION
     # The log goes on as its author wrote it.
     assert logs.add(blocks_of(one)[3])
 
 
-def test_an_earlier_run_is_refused_and_a_later_one_replaces_it():
+def test_an_earlier_run_is_rejected_and_a_later_one_replaces_it():
     yesterday, _ = written(run=1, seed=1)
     today, records = written(run=2, seed=2)
     logs = receiver()
     for block in blocks_of(yesterday):
         logs.add(block)
 
-    assert refusal(logs, blocks_of(today)[4]) is Refusal.TOO_FAR_AHEAD
+    assert rejection(logs, blocks_of(today)[4]) is MessageRejection.TOO_FAR_AHEAD
     for block in blocks_of(today):
         logs.add(block)
 
     assert contents(logs.contents('q').measurements()) == contents(records)
-    assert refusal(logs, blocks_of(yesterday)[0]) is Refusal.OLD_RUN
+    assert rejection(logs, blocks_of(yesterday)[0]) is MessageRejection.OLD_RUN
 
 
 def test_a_later_run_that_begins_badly_replaces_nothing():
@@ -172,8 +172,9 @@ def test_a_later_run_that_begins_badly_replaces_nothing():
 
     first = blocks_of(sender)[0]
 
-    assert refusal(logs, replace(first, run=9, content=b'?')) is Refusal.BAD_CONTENT
-    assert refusal(logs, replace(first, run=9, digest=b'12345678')) is Refusal.CONTRADICTION
+    assert rejection(logs, replace(first, run=9, content=b'?')) is MessageRejection.BAD_CONTENT
+    other = replace(first, run=9, digest=b'12345678')
+    assert rejection(logs, other) is MessageRejection.CONTRADICTION
     assert contents(logs.contents('q').measurements()) == contents(records)
 
 
@@ -184,14 +185,14 @@ def test_a_log_ends_where_its_content_is_impossible():
 
     bad = replace(second, content=encoded([Odometry('q', 5, np.full(3, np.nan), None)]))
 
-    assert refusal(logs, bad) is Refusal.BAD_CONTENT
+    assert rejection(logs, bad) is MessageRejection.BAD_CONTENT
     assert logs.logs[LogName('q')].knowledge().is_ended
 
 
 def test_another_robot_of_the_same_name_is_noticed():
     _, other = written('p'), written('p', run=7)[0]
 
-    assert refusal(receiver(), blocks_of(other, 'p')[0]) is Refusal.SAME_NAME
+    assert rejection(receiver(), blocks_of(other, 'p')[0]) is MessageRejection.SAME_NAME
 
 
 def test_a_restarted_robot_continues_its_run():

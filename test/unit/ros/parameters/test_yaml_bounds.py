@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""YAML files that describe far more than they contain are refused at once, with one sentence."""
+"""YAML files that describe far more than they contain are rejected at once, with one sentence."""
 
 from time import process_time
 
@@ -40,7 +40,7 @@ DEEP = {
 }
 
 
-def refusal(tmp_path, text):
+def rejection(tmp_path, text):
     """Return the sentence about a file, which must come within a second."""
     path = tmp_path / 'p.yaml'
     path.write_text(text, encoding='utf-8')
@@ -55,24 +55,24 @@ def refusal(tmp_path, text):
 
 
 @pytest.mark.parametrize('kind', BOMBS)
-def test_aliases_that_multiply_are_refused(tmp_path, kind):
-    assert 'has more than 10,000 values' in refusal(tmp_path, BOMBS[kind])
+def test_aliases_that_multiply_are_rejected(tmp_path, kind):
+    assert 'has more than 10,000 values' in rejection(tmp_path, BOMBS[kind])
 
 
 @pytest.mark.parametrize('kind', ENDLESS)
-def test_an_alias_in_what_it_repeats_is_refused(tmp_path, kind):
-    assert 'the alias *a repeats no earlier value' in refusal(tmp_path, ENDLESS[kind])
+def test_an_alias_in_what_it_repeats_is_rejected(tmp_path, kind):
+    assert 'the alias *a repeats no earlier value' in rejection(tmp_path, ENDLESS[kind])
 
 
 @pytest.mark.parametrize('kind', DEEP)
-def test_hundreds_of_levels_are_refused(tmp_path, kind):
-    assert 'give the path of a ROS parameter file' in refusal(tmp_path, DEEP[kind])
+def test_hundreds_of_levels_are_rejected(tmp_path, kind):
+    assert 'give the path of a ROS parameter file' in rejection(tmp_path, DEEP[kind])
 
 
-def test_a_file_of_many_megabytes_is_refused_unread(tmp_path):
+def test_a_file_of_many_megabytes_is_rejected_unread(tmp_path):
     text = HEAD + '    x: 1\n' * 1_000_000
 
-    assert 'it is larger than 250,000 bytes' in refusal(tmp_path, text)
+    assert 'it is larger than 250,000 bytes' in rejection(tmp_path, text)
 
 
 @pytest.mark.parametrize('text', ['a&b', '"&"', '"a & *b: c: d"', '"&a [*a]x"'])

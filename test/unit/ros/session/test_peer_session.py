@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions that exchange their measurements: the central result, through restarts and refusals."""
+"""Sessions that exchange their measurements: the central result, also after restarts."""
 
 from dataclasses import replace
 import errno
@@ -272,7 +272,7 @@ def test_a_robot_that_is_killed_continues_from_its_file(clock, tmp_path, at):
         assert_allclose(poses(sessions['p'], name), poses(expected, name), rtol=0.0, atol=1e-9)
 
 
-def test_a_file_of_another_robot_is_refused(tmp_path):
+def test_a_file_of_another_robot_is_rejected(tmp_path):
     path = tmp_path / 'p.exchange'
     session('p', 'q', exchange_file=str(path)).discard_files()
 
@@ -280,7 +280,7 @@ def test_a_file_of_another_robot_is_refused(tmp_path):
         session('q', 'p', exchange_file=str(path))
 
 
-def test_another_file_is_refused_and_kept(tmp_path):
+def test_another_file_is_rejected_and_kept(tmp_path):
     path = tmp_path / 'notes.txt'
     path.write_text('not to be lost')
 
@@ -289,7 +289,7 @@ def test_another_file_is_refused_and_kept(tmp_path):
     assert path.read_text() == 'not to be lost'
 
 
-def test_what_is_exchanged_and_refused_is_reported(clock):
+def test_what_is_exchanged_and_rejected_is_reported(clock):
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
     exchanged(sessions, clock, 2.0)
     run = sessions['p']
@@ -300,7 +300,7 @@ def test_what_is_exchanged_and_refused_is_reported(clock):
     run.receive(RawMessage(EXCHANGE_TOPIC, EXCHANGE_TYPE, None, serialize(message)))
     run.check(2)
 
-    assert 'a message of an unknown sender is refused: it is incomplete' in [
+    assert 'a message of an unknown sender is rejected: it is incomplete' in [
         line.text for line in run.log.take()]
     _, report = run.diagnostics.report(3, at_rest=False)
     of_q = next(status for status in report.status if status.name == 'smoother: q')
@@ -318,7 +318,7 @@ def test_only_inputs_of_the_own_robot_are_subscribed_to():
     assert {'p/pose', 'q/pose', 'q/base_node', EXCHANGE_TOPIC} <= run.outputs.topics.keys()
 
 
-def test_a_damaged_file_is_refused_and_kept(clock, tmp_path):
+def test_a_damaged_file_is_rejected_and_kept(clock, tmp_path):
     path = tmp_path / 'p.exchange'
     run = session('p', 'q', exchange_file=str(path))
     fed({'p': run}, messages()[:300], clock)
@@ -343,7 +343,7 @@ def test_a_file_of_which_only_a_part_of_the_first_block_was_written_is_empty(tmp
     run.discard_files()
 
 
-def test_a_file_that_was_written_with_another_noise_is_refused(tmp_path):
+def test_a_file_that_was_written_with_another_noise_is_rejected(tmp_path):
     path = str(tmp_path / 'p.exchange')
     session('p', 'q', exchange_file=path).discard_files()
 
@@ -408,7 +408,7 @@ def test_a_parameter_file_may_list_the_own_robot_among_its_peers():
     (['p'], ['p'], "parameter 'peers' has only this robot: list the others"),
     (['p'], ['q', 'q'], "parameter 'peers' contains 'q' twice"),
 ])
-def test_a_wrong_team_is_refused_with_one_sentence(robots, peers, sentence):
+def test_a_wrong_team_is_rejected_with_one_sentence(robots, peers, sentence):
     with pytest.raises(UserError, match=sentence):
         settings(robots, peers)
 
