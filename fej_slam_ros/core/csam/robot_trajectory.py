@@ -155,7 +155,7 @@ class RobotTrajectory:
         return len(lost.keys() & self._smoother.landmark_index.keys())
 
     def _find(self) -> None:
-        """Append the poses since the robot was lost if landmarks tell where they are."""
+        """Append the poses since the robot was lost if enough landmarks are observed again."""
         if self._lost is None or self._shared_count() < MIN_FOUND:
             return
         lost, known = self._lost, self._smoother

@@ -316,7 +316,7 @@ class TeamSmoother:
     def _move(
         self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
     ) -> None:
-        """Start a trajectory, or go on with it by what tells the next pose."""
+        """Start a trajectory, or extend it by a pose prior or by odometry."""
         priors = [*self._pose_priors.take(name, self._stamp)]
         if name not in self.trajectories:
             self.trajectories[name] = RobotTrajectory(
@@ -329,7 +329,7 @@ class TeamSmoother:
             self._move_by_odometry(name, motion, observations)
 
     def _place(self, prior: PosePrior, observations: tuple[Observation, ...]) -> bool:
-        """Let a robot go on at a pose that was given; return whether it does."""
+        """Restart a robot at a prior, or as lost if it is too uncertain; return if it was used."""
         trajectory = self.trajectories[prior.robot]
         if prior.is_too_uncertain():
             self.statistics.count_restart(prior.robot, 'its pose is not known')

@@ -40,8 +40,7 @@ class Weights(NamedTuple):
 
     d2: Array  #: squared Mahalanobis distances
     gains: Array  #: log-likelihood ratios to observations of unknown objects
-    #: gains less log sqrt(det S / det R): the more a pair would tell beyond the noise of the
-    #: observation, the more a wrong one harms
+    #: gains less log sqrt(det S / det R): a wrong pair does more harm the more it corrects
     penalised_gains: Array
 
 

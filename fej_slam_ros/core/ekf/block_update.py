@@ -40,7 +40,7 @@ class BlockUpdate:
 
 
 def is_divided(covariance: JointCovariance, count: int) -> bool:
-    """Return whether an update of so many observations is done in blocks."""
+    """Return whether an update of `count` observations is done in blocks."""
     return count > max(
         MIN_BLOCK_OBSERVATIONS, min(MAX_JOINT_OBSERVATIONS, _affordable(covariance)))
 

@@ -3,8 +3,8 @@
 """
 What a robot sends to others in reach, and what it does with their messages.
 
-Every robot says in each period what it has (*hello*). Whoever hears that another robot lacks
-blocks sends them, with a limit on the bytes per second. A hello is thereby request and
+Every robot sends a list of its blocks in each period (*hello*). A robot that has blocks which
+another one lacks sends them, with a limit on the bytes per second. A hello is thereby request and
 acknowledgement; every message may be lost, repeated or late. All messages go to all robots in
 reach, so that one block serves each of them.
 """
@@ -24,7 +24,7 @@ REACH_PERIODS = 4
 #: Time [ns] that a message and the hello after it may take; a block is sent again if a hello that
 #: came later still lacks it.
 ROUND_TRIP = NS // 5
-#: Maximum number of logs of which a robot can tell.
+#: Maximum number of logs in the hellos of a robot.
 MAX_LOGS = 10_000
 #: Longest time [ns] for which bytes that were not sent may be sent later.
 MAX_SAVING = NS
@@ -46,9 +46,8 @@ class ExchangeSettings:
 class PeerState:
     """What is known of another robot."""
 
-    #: heard, met: time of its last message, and of the first one since it came in reach [ns]
-    heard: int | None = None
-    met: int = 0
+    last_message: int | None = None  #: time of its last message [ns]
+    in_reach_since: int = 0  #: time of the first one since it came in reach [ns]
     run: int | None = None  #: its run by its newest hello
     hello: tuple[int, int] | None = None  #: time of its newest hello by its own clock and by ours
     #: time of its last hello about each log, and what it has of it
@@ -93,7 +92,7 @@ class PeerExchange:
         """Exchange data with some robots, and with no others, from now on."""
         self.peers = {name: self.peers.get(name) or PeerState() for name in sorted(names)}
         for peer in self.peers.values():
-            # Logs of which it told while they were unknown are told again.
+            # The next hellos list the logs that were unknown so far.
             peer.others.clear()
             peer.logs = None
 
@@ -116,13 +115,13 @@ class PeerExchange:
             return MessageRejection.UNKNOWN_ROBOT
         peer.bytes_received += len(data)
         if not self._is_in_reach(peer, now):
-            peer.met, peer.hello = now, None
-        peer.heard = now
+            peer.in_reach_since, peer.hello = now, None
+        peer.last_message = now
         try:
             if isinstance(message, Hello):
-                self._hear(peer, message, now)
+                self._receive_hello(peer, message, now)
             else:
-                self._add(message, now)
+                self._receive_block(message, now)
         except MessageRejectedError as rejected:
             peer.rejected[rejected.reason] += 1
             return rejected.reason
@@ -154,25 +153,25 @@ class PeerExchange:
             yield self._counted('block', data)
 
     def in_reach(self, now: int) -> list[str]:
-        """Return the names of the robots that were heard lately."""
+        """Return the names of the robots of which a message was received lately."""
         return [name for name, peer in self.peers.items() if self._is_in_reach(peer, now)]
 
     def is_complete(self, now: int) -> bool:
         """Return whether all robots in reach have all that this one has, by their hellos."""
         return all(
-            self._has_told_all(self.peers[name])
+            self._has_listed_all(self.peers[name])
             and not any(self._missing(self.peers[name], name, waits=False))
             for name in self.in_reach(now))
 
     def _is_in_reach(self, peer: PeerState, now: int) -> bool:
         limit = REACH_PERIODS * self.settings.period
-        return peer.heard is not None and now - peer.heard <= limit
+        return peer.last_message is not None and now - peer.last_message <= limit
 
-    def _hear(self, peer: PeerState, hello: Hello, now: int) -> None:
+    def _receive_hello(self, peer: PeerState, hello: Hello, now: int) -> None:
         if peer.run is not None and hello.run < peer.run:
             raise MessageRejectedError(MessageRejection.OLD_RUN)
         if hello.run != peer.run:
-            # It begins afresh, and may have lost what it knew.
+            # It has restarted, and may have lost its logs.
             peer.run, peer.hello = hello.run, None
             peer.known.clear()
             peer.others.clear()
@@ -188,7 +187,7 @@ class PeerExchange:
         team = {self.logs.robot, *self.peers}
         of_team = {of.log: (heard, of) for of in hello.known if is_of(of.log, team)}
         peer.known |= of_team
-        # It may tell of robots that this one does not know.
+        # It may list logs of robots that are unknown here.
         peer.others |= {of.log for of in hello.known if of.log not in of_team}
         peer.logs = hello.logs - len(peer.others)
         if len(peer.others) > MAX_LOGS:
@@ -198,7 +197,7 @@ class PeerExchange:
         if own is not None and not self.logs.has_written(own):
             raise MessageRejectedError(MessageRejection.SAME_NAME)
 
-    def _add(self, message: BlockMessage, now: int) -> None:
+    def _receive_block(self, message: BlockMessage, now: int) -> None:
         block = message.block
         if not is_of(block.log, {self.logs.robot, *self.peers}):
             raise MessageRejectedError(MessageRejection.UNKNOWN_ROBOT)
@@ -225,12 +224,12 @@ class PeerExchange:
         Measurements are left out while they wait for rendezvous information.
 
         """
-        if not self._has_told_all(peer):
+        if not self._has_listed_all(peer):
             return
         for log in self.logs.logs.values():
             about = log.name.about
             if log.name.author != name and (about == name or not (about or waits)):
-                heard, known = peer.known.get(log.name, (peer.met, None))
+                heard, known = peer.known.get(log.name, (peer.in_reach_since, None))
                 for number in log.missing(known):
                     yield log.name, log.run, number, heard
 
@@ -240,7 +239,7 @@ class PeerExchange:
         return peer.waited < self.settings.information_first and not (
             self._has_information(peer, name))
 
-    def _has_told_all(self, peer: PeerState) -> bool:
+    def _has_listed_all(self, peer: PeerState) -> bool:
         return peer.logs is not None and peer.logs <= len(peer.known)
 
     def _has_information(self, peer: PeerState, name: str) -> bool:

@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Messages between robots as bytes: *hello* (who, when, what I have) and *block* (a part of a log).
+Messages between robots as bytes: *hello* (what the sender has) and *block* (a part of a log).
 
 All are small enough for one packet of a network, as a lost packet loses the whole message. Each
-has a checksum, and a digest by which a message of another version is rejected, also if nobody
-changed its number::
+has a checksum, and a digest of the format by which messages of another version are rejected even
+if its number is the same::
 
     3 bytes   'FEJ'
     4         digest of the version and of the fields of measurements
@@ -114,7 +114,7 @@ def read(data: bytes) -> Message:
 def hellos(
     sender: str, run: int, stamp: int, known: Sequence[Knowledge]
 ) -> Iterator[bytes]:
-    """Yield the messages that tell all that a robot has: one or, for many logs, several."""
+    """Yield the hellos with all that a robot has: one or, for many logs, several."""
     space = MAX_SIZE - len(write(Hello(sender, run, stamp, 0, ())))
     parts: list[list[Knowledge]] = [[]]
     free = space

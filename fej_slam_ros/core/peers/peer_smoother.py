@@ -69,7 +69,7 @@ class PeerSmoother(TeamSmoother):
                 pass
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
-        """Change the robots that may be heard of; what is known of others stays in the union."""
+        """Change the robots of the team; measurements of former ones stay in the union."""
         self.robots = {of.name: of for of in robots}
         known = {of.name: of for of in self._team_settings.robots} | self.robots
         self._team_settings = replace(self._team_settings, robots=tuple(known.values()))

@@ -42,7 +42,7 @@ _HEADER = struct.Struct('<HHHI')
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowInformation:
-    """What a robot tells another one about their rendezvous."""
+    """Information about a rendezvous for the other robot."""
 
     stamps: tuple[int, ...]  #: times of its poses [ns]
     information: RendezvousInformation  #: its map about these poses, in the same order
@@ -85,7 +85,7 @@ def contents(message: bytes) -> list[bytes]:
 
 
 def meet(task: MeetingTask) -> Meeting | None:
-    """Return what this robot tells the other one, and their alignment; None if it cannot yet."""
+    """Return the information for the other robot and the alignment of the maps, None if none."""
     robot, = task.settings.robots
     measurements = task.log.measurements()
     own = _observations(measurements, task.peer)

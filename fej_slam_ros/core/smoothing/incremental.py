@@ -250,7 +250,7 @@ class IncrementalSmoother:
             self._observed_from.append(newest)
 
     def _is_solution_due(self) -> bool:
-        """Return whether so many poses with observations are not in the last full solution."""
+        """Return whether too many poses with observations are not in the last full solution."""
         observed = len(self._observed_from)
         unsolved = observed - bisect_left(self._observed_from, len(self._solved.poses))
         return unsolved >= max(self._solve_every, observed // UNSOLVED_ONE_IN)

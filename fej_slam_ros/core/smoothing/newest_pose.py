@@ -25,8 +25,8 @@ from fej_slam_ros.core.smoothing.least_squares import Values
 from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Number of landmarks nearest to a pose that the filter continues with. When it has twice as many
-#: it forgets the others. One that is observed again starts anew: that ignores what was known of
-#: it, and counts nothing twice.
+#: it forgets the others. A forgotten landmark that is observed again starts as a new one: its
+#: earlier observations are ignored, and none is used twice.
 MAX_FILTER_LANDMARKS = 100
 #: Gauss-Newton iterations of an update.
 UPDATE_ITERATIONS = 3

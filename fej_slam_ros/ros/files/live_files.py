@@ -127,8 +127,8 @@ class LiveFiles:
         try:
             work()
         except IncompleteError as error:
-            is_told = 'disk' in self._errors
-            self._errors[what] = error.consequence if is_told else str(error)
+            is_disk_reported = 'disk' in self._errors
+            self._errors[what] = error.consequence if is_disk_reported else str(error)
         except UserError as error:
             self._errors.setdefault(what, str(error))
         else:

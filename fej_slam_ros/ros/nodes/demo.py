@@ -90,7 +90,7 @@ class _LiveView:
             print(f'\r{self._time:6.1f} of {self._duration:.1f} s  {poses}', end='', flush=True)
 
     def are_subscribed(self, nodes: int) -> bool:
-        """Return whether so many nodes receive the odometry of all robots."""
+        """Return whether a number of nodes receive the odometry of all robots."""
         return all(self._node.count_subscribers(f'{name}/odom') >= nodes for name in self._robots)
 
     def is_moving(self) -> bool:

@@ -38,7 +38,7 @@ class NodeFiles:
         self._ended: list[LiveFiles] = []
         self._is_first = True
         self._notes: dict[str, str] = {}
-        self._told: set[str] = set()
+        self._logged: set[str] = set()
         self._checkpoint: CheckpointWriter | None = None
         self.has_failed = False
 
@@ -134,11 +134,11 @@ class NodeFiles:
     def check(self) -> dict[str, str]:
         """Log new errors, and those that are over; return the present ones."""
         errors = self.errors()
-        for name in errors.keys() - self._told:
+        for name in errors.keys() - self._logged:
             self._log.error(f'{errors[name]}; the run goes on')
-        for name in self._told - errors.keys():
+        for name in self._logged - errors.keys():
             self._log.info(f'the files of {name!r} are written again')
-        self._told = {*errors}
+        self._logged = {*errors}
         return errors
 
     def finish(self) -> bool:

@@ -69,7 +69,7 @@ class SmootherNodeSettings(CommonNodeSettings):
     exchange_rate: float = parameter(
         100_000.0, POSITIVE, 'maximum rate of measurements sent to peers', 'bytes/s')
     exchange_period: float = parameter(
-        0.5, PERIOD, 'period in which peers are told what is known', 's')
+        0.5, PERIOD, 'period of the hello messages to peers', 's')
     exchange_file: str = parameter(
         '', TEXT, 'file of all measurements known, from which the smoother continues after a'
         ' restart; empty: none')

@@ -188,9 +188,9 @@ def _all_rejected(of: RobotInput) -> Iterator[Fault]:
     for kind in ('odom', *OBSERVATION_TOPICS):
         flow = of.flow(kind)
         count = flow.rejected_in_a_row.total()
-        is_told = flow.rejected_in_a_row.keys() <= {RejectionReason.TOO_LARGE}
+        is_reported_elsewhere = flow.rejected_in_a_row.keys() <= {RejectionReason.TOO_LARGE}
         is_long = of.now - flow.rejected_since >= MIN_REJECTED_TIME
-        if count >= MIN_REJECTED and is_long and not is_told:
+        if count >= MIN_REJECTED and is_long and not is_reported_elsewhere:
             is_expected = flow.rejected_in_a_row.keys() <= SENT_AGAIN
             yield Fault(
                 Level.WARN if is_expected else Level.ERROR,

@@ -16,7 +16,7 @@ from fej_slam_ros.ros.session.inputs import Inputs
 
 class RecordCollector:
     """
-    Collects records, which bad data does not become.
+    Collects the valid records of a bag; invalid data is rejected and counted as in a run.
 
     Attributes
     ----------
