@@ -119,10 +119,7 @@ def process(
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
     output_bag, folders = arguments.output / 'bag', _folders(arguments.output)
-    if arguments.picture and find_spec('matplotlib') is None:
-        raise UserError("matplotlib is missing: pip install '.[plot]', or leave out --picture")
-    if arguments.write_bag and output_bag.resolve() == arguments.bag.resolve():
-        raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
+    _check(arguments, output_bag)
     used: list[Path] = []
     with ExitStack() as stack:
         def start(settings: RunSettings) -> SessionT:
@@ -156,6 +153,14 @@ def process(
         (folder / PICTURE).unlink(missing_ok=True)
         if arguments.picture:
             _draw(folder)
+
+
+def _check(arguments: argparse.Namespace, output_bag: Path) -> None:
+    """Raise an error if the picture cannot be drawn, or if the output bag is the input."""
+    if arguments.picture and find_spec('matplotlib') is None:
+        raise UserError("matplotlib is missing: pip install '.[plot]', or leave out --picture")
+    if arguments.write_bag and output_bag.resolve() == arguments.bag.resolve():
+        raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
 
 
 def _draw(folder: Path) -> None:
