@@ -193,10 +193,10 @@ class Estimator:
     def pose(self, robot: str) -> PoseEstimate:
         """Return the pose of a robot after its last step."""
         group = self.groups.of(robot)
-        of_robot = group.robots[robot]
+        variable = group.robots[robot]
         return PoseEstimate(
-            robot, of_robot.stamp, group.frame, group.state.pose(of_robot),
-            group.state.marginal([of_robot]))
+            robot, variable.stamp, group.frame, group.state.pose(variable),
+            group.state.marginal([variable]))
 
     def landmarks(self) -> tuple[LandmarkEstimate, ...]:
         """Return the confirmed landmarks in ``map``, ordered by ID."""

@@ -75,8 +75,8 @@ def product(A: Array, B: Array, may_end: bool = False) -> Array:
     rows, inner = A.shape
     size = PIECE_FLOPS / max(2 * inner * B.shape[1], 1)
     if rows <= size:
-        of_all: Array = A @ B
-        return of_all
+        whole: Array = A @ B
+        return whole
     result = np.empty((rows, B.shape[1]))
     for part in ranges(rows, size):
         if may_end and must_end():

@@ -95,17 +95,17 @@ class Log:
         """Return whether a block is known."""
         return number < len(self.blocks) or number in self.ahead
 
-    def is_prefix(self, of: Knowledge) -> bool:
+    def is_prefix(self, known: Knowledge) -> bool:
         """Return whether what another robot has of the run does not contradict what is known."""
-        return of.count >= len(self.digests) or self.digests[of.count] == of.digest
+        return known.count >= len(self.digests) or self.digests[known.count] == known.digest
 
-    def missing(self, of: Knowledge | None) -> Iterator[int]:
+    def missing(self, known: Knowledge | None) -> Iterator[int]:
         """Yield the numbers of the known blocks that another robot does not have."""
         first, ahead = 0, frozenset[int]()
-        if of is not None and of.run >= self.run:
-            if of.run > self.run or of.is_ended or not self.is_prefix(of):
+        if known is not None and known.run >= self.run:
+            if known.run > self.run or known.is_ended or not self.is_prefix(known):
                 return
-            first, ahead = of.count, of.ahead
+            first, ahead = known.count, known.ahead
         for number in [*range(first, len(self.blocks)), *sorted(self.ahead)]:
             if number not in ahead and number < first + MAX_AHEAD:
                 yield number

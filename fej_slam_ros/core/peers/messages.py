@@ -118,12 +118,12 @@ def hellos(
     space = MAX_SIZE - len(write(Hello(sender, run, stamp, 0, ())))
     parts: list[list[Knowledge]] = [[]]
     free = space
-    for of in known:
-        size = len(_knowledge(of))
+    for knowledge in known:
+        size = len(_knowledge(knowledge))
         if size > free:
             parts.append([])
             free = space
-        parts[-1].append(of)
+        parts[-1].append(knowledge)
         free -= size
     for part in parts:
         yield write(Hello(sender, run, stamp, len(known), tuple(part)))
@@ -135,13 +135,13 @@ def _hello(hello: Hello) -> bytes:
         _COUNT.pack(len(hello.known)), *map(_knowledge, hello.known)])
 
 
-def _knowledge(of: Knowledge) -> bytes:
+def _knowledge(known: Knowledge) -> bytes:
     """Return the name, run, count, digest, a flag for the end, and a bitmap of further blocks."""
-    bits = sum(1 << number - of.count for number in of.ahead)
+    bits = sum(1 << number - known.count for number in known.ahead)
     bitmap = bits.to_bytes((bits.bit_length() + 7) // 8, 'little')
     return b''.join([
-        _log_name(of.log), _RUN.pack(of.run), _COUNT.pack(of.count), of.digest,
-        bytes([of.is_ended, len(bitmap)]), bitmap])
+        _log_name(known.log), _RUN.pack(known.run), _COUNT.pack(known.count), known.digest,
+        bytes([known.is_ended, len(bitmap)]), bitmap])
 
 
 def _block(message: BlockMessage) -> bytes:

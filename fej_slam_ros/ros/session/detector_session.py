@@ -65,7 +65,7 @@ class DetectorSession:
         self.robots = {
             name: RobotSettings(name, k) for k, name in enumerate(settings.robots, start=1)}
         self._frames = SensorFrames(self.robots, settings.tf_topics)
-        self._of = {name: _RobotDetector(settings) for name in settings.robots}
+        self._detectors = {name: _RobotDetector(settings) for name in settings.robots}
         self.radii: dict[str, deque[float]] = {
             name: deque(maxlen=MAX_RADII) for name in settings.robots}
         self.topics = {
@@ -79,11 +79,13 @@ class DetectorSession:
     def receive(self, arrived: RawMessage) -> None:
         """Add a message, or count its rejection."""
         name, _, kind = arrived.topic.lstrip('/').rpartition('/')
-        if not self._frames.receive(arrived) and name in self._of and kind in {'scan', 'odom'}:
+        if self._frames.receive(arrived):
+            return
+        if name in self._detectors and kind in {'scan', 'odom'}:
             expected = self.topics[f'{name}/{kind}']
             message = decoded(arrived.raw, expected) if arrived.type_name == expected else None
             if message is None:
-                self._of[name].faults[ScanFault.BAD_MESSAGE] += 1
+                self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
             elif kind == 'odom':
                 self._receive_odometry(name, message)
             else:
@@ -97,58 +99,58 @@ class DetectorSession:
         earlier one is missing. Markers are left out where they are not wanted.
 
         """
-        for name, of in self._of.items():
-            yield from self._published(name, of.detector.take(), is_wanted)
+        for name, state in self._detectors.items():
+            yield from self._published(name, state.detector.take(), is_wanted)
 
     def close(self) -> Iterator[Publication]:
         """Yield what is to be published of the last scans at the end of the input."""
-        for name, of in self._of.items():
-            yield from self._published(name, of.detector.close(), lambda _: True)
+        for name, state in self._detectors.items():
+            yield from self._published(name, state.detector.close(), lambda _: True)
 
     def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
         """Yield each robot, a warning or '', and the counts of its scans and landmarks."""
-        for name, of in self._of.items():
-            detector = of.detector
+        for name, state in self._detectors.items():
+            detector = state.detector
             values = {
-                'odometry': of.odometry, 'scans': detector.scans, 'landmarks': of.landmarks,
+                'odometry': state.odometry, 'scans': detector.scans, 'landmarks': state.landmarks,
                 'scans_without_odometry': detector.without_odometry, 'scans_lost': detector.lost,
                 'time_jumps': detector.restarts,
                 'transforms_rejected': self._frames.rejected.total(),
                 **{f'scans_{fault.value}': n for fault, n in sorted(
-                    of.faults.items(), key=lambda item: item[0].value)},
+                    state.faults.items(), key=lambda item: item[0].value)},
                 **{f'segments_{reason.value}': n for reason, n in sorted(
                     detector.rejected.items(), key=lambda item: item[0].value) if n}}
-            yield name, _warning(name, of), values
+            yield name, _warning(name, state), values
 
     def _receive_odometry(self, name: str, message: Message) -> None:
         try:
             record = incoming.odometry(message, name)
         except incoming.RejectedError:
-            self._of[name].faults[ScanFault.BAD_MESSAGE] += 1
+            self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
             return
         self._frames.add_odometry(name, message)
-        self._of[name].odometry += 1
-        self._of[name].detector.add_odometry(record)
+        self._detectors[name].odometry += 1
+        self._detectors[name].detector.add_odometry(record)
 
     def _receive_scan(self, name: str, message: Message) -> None:
-        of = self._of[name]
+        state = self._detectors[name]
         try:
             stamp, scan = laser.laser_scan(message)
             if self._settings.intensity_threshold > 0.0 and scan.intensities is None:
                 raise ScanFaultError(ScanFault.NO_INTENSITIES)
             frame = message.header.frame_id.lstrip('/')
             scan, mount, published = self._mounted(name, frame, scan)
-            if not of.detector.add_scan(StampedScan(stamp, scan, mount, published)):
+            if not state.detector.add_scan(StampedScan(stamp, scan, mount, published)):
                 raise ScanFaultError(ScanFault.LATE)
         except ScanFaultError as rejected:
-            of.faults[rejected.fault] += 1
+            state.faults[rejected.fault] += 1
 
     def _mounted(
         self, name: str, frame: str, scan: LaserScan
     ) -> tuple[LaserScan, Array, str]:
         """Return a scan as of an upright laser, its pose (3,), and the frame to publish in."""
         pose = self._frames.pose(name, frame)
-        self._of[name].unknown_frame = frame if pose is None else ''
+        self._detectors[name].unknown_frame = frame if pose is None else ''
         if pose is None:
             return scan, np.zeros(3), frame
         base = self._frames.base(name)
@@ -166,11 +168,11 @@ class DetectorSession:
     def _published(
         self, name: str, found: Iterable[tuple[StampedScan, Detections]], is_wanted: IsWanted
     ) -> Iterator[Publication]:
-        of = self._of[name]
+        state = self._detectors[name]
         for scan, landmarks in found:
             frame, C = scan.frame, rotation(scan.mount[2])
             points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
-            of.landmarks += len(points)
+            state.landmarks += len(points)
             self.radii[name].extend(landmarks.radii.tolist())
             yield f'{name}/landmarks', outgoing.detections(
                 scan.end, frame, [NO_ID] * len(points), points, R)
@@ -179,21 +181,21 @@ class DetectorSession:
                     scan.end, frame, points, R, landmarks.radii)
 
 
-def _warning(name: str, of: _RobotDetector) -> str:
+def _warning(name: str, state: _RobotDetector) -> str:
     """Return what users have to know of a robot, '' if all is well."""
-    detector = of.detector
-    if of.faults and not detector.scans:
-        fault, _ = of.faults.most_common(1)[0]
+    detector = state.detector
+    if state.faults and not detector.scans:
+        fault, _ = state.faults.most_common(1)[0]
         return f'all scans are rejected as {fault.value}'
     if not detector.scans:
         return f'no scans: publish them on {name}/scan'
-    if of.unknown_frame:
+    if state.unknown_frame:
         return (
-            f'no static transform from the frame {of.unknown_frame!r} of the scans to the base'
+            f'no static transform from the frame {state.unknown_frame!r} of the scans to the base'
             ' frame: publish it on /tf_static, or give the estimator sensor_frame and sensor_pose')
     if detector.without_odometry == detector.scans:
         return f'no odometry around the scans: publish it on {name}/odom'
-    if not of.landmarks and detector.rejected:
+    if not state.landmarks and detector.rejected:
         reason, _ = detector.rejected.most_common(1)[0]
         return f'no landmark so far, most segments are rejected as {reason.value}'
     return ''

@@ -129,103 +129,105 @@ class RobotInput:
             found.incompatible or {*found.types} - {SENT_TOPICS[kind]})
 
 
-def faults(of: RobotInput) -> list[Fault]:
+def faults(given: RobotInput) -> list[Fault]:
     """Return all conditions of a robot's input."""
-    return [found for condition in CONDITIONS for found in condition(of)]
+    return [found for condition in CONDITIONS for found in condition(given)]
 
 
-def _other_type(of: RobotInput) -> Iterator[Fault]:
+def _other_type(given: RobotInput) -> Iterator[Fault]:
     for kind in ('odom', *OBSERVATION_TOPICS):
-        others = {*(of.types(kind) or ())} - {SENT_TOPICS[kind]}
+        others = {*(given.types(kind) or ())} - {SENT_TOPICS[kind]}
         if others:
             yield Fault(Level.ERROR, (
-                f'{of.topic(kind)} is published as {", ".join(sorted(others))}, this node needs'
+                f'{given.topic(kind)} is published as {", ".join(sorted(others))}, this node needs'
                 f' {SENT_TOPICS[kind]}'))
 
 
-def _incompatible_qos(of: RobotInput) -> Iterator[Fault]:
+def _incompatible_qos(given: RobotInput) -> Iterator[Fault]:
     for kind in ('odom', *OBSERVATION_TOPICS):
-        found = of.publishers.get(f'{of.robot}/{kind}')
+        found = given.publishers.get(f'{given.robot}/{kind}')
         if found is not None and found.incompatible:
             yield Fault(Level.ERROR, found.incompatible)
 
 
-def _no_odometry(of: RobotInput) -> Iterator[Fault]:
-    if not of.flow('odom').received:
-        if of.types('odom') == ():
-            yield Fault(Level.WARN, f'{of.topic("odom")} has no publisher')
-        elif of.is_expected('odom'):
-            yield Fault(Level.WARN, f'no message on {of.topic("odom")} yet')
+def _no_odometry(given: RobotInput) -> Iterator[Fault]:
+    if not given.flow('odom').received:
+        if given.types('odom') == ():
+            yield Fault(Level.WARN, f'{given.topic("odom")} has no publisher')
+        elif given.is_expected('odom'):
+            yield Fault(Level.WARN, f'no message on {given.topic("odom")} yet')
 
 
-def _odometry_stopped(of: RobotInput) -> Iterator[Fault]:
-    if of.has_stopped('odom'):
-        yield Fault(Level.STALE, _stopped(of, 'odom', 'odometry'))
+def _odometry_stopped(given: RobotInput) -> Iterator[Fault]:
+    if given.has_stopped('odom'):
+        yield Fault(Level.STALE, _stopped(given, 'odom', 'odometry'))
 
 
-def _no_observations(of: RobotInput) -> Iterator[Fault]:
+def _no_observations(given: RobotInput) -> Iterator[Fault]:
     # Without odometry, observations are of no use.
-    has_odometry = of.flow('odom').received > 0
-    has_observations = any(of.flow(kind).received for kind in OBSERVATION_TOPICS)
-    if of.needs_observations and has_odometry and not has_observations:
-        names = ' and '.join(of.topic(kind) for kind in OBSERVATION_TOPICS)
-        if all(of.types(kind) == () for kind in OBSERVATION_TOPICS):
+    has_odometry = given.flow('odom').received > 0
+    has_observations = any(given.flow(kind).received for kind in OBSERVATION_TOPICS)
+    if given.needs_observations and has_odometry and not has_observations:
+        names = ' and '.join(given.topic(kind) for kind in OBSERVATION_TOPICS)
+        if all(given.types(kind) == () for kind in OBSERVATION_TOPICS):
             yield Fault(Level.WARN, f'{names} have no publisher')
-        elif all(of.is_expected(kind) for kind in OBSERVATION_TOPICS):
+        elif all(given.is_expected(kind) for kind in OBSERVATION_TOPICS):
             yield Fault(Level.WARN, f'no message on {names} yet')
 
 
-def _observations_stopped(of: RobotInput) -> Iterator[Fault]:
+def _observations_stopped(given: RobotInput) -> Iterator[Fault]:
     for kind in OBSERVATION_TOPICS:
-        flow = of.flow(kind)
-        is_fault = of.has_no_publisher(kind) or (kind == 'landmarks' and flow.is_regular())
-        if is_fault and of.has_stopped(kind):
+        flow = given.flow(kind)
+        is_fault = given.has_no_publisher(kind) or (kind == 'landmarks' and flow.is_regular())
+        if is_fault and given.has_stopped(kind):
             what = 'landmark scans' if kind == 'landmarks' else 'scans of robots'
-            yield Fault(Level.WARN, _stopped(of, kind, what))
+            yield Fault(Level.WARN, _stopped(given, kind, what))
 
 
-def _all_rejected(of: RobotInput) -> Iterator[Fault]:
+def _all_rejected(given: RobotInput) -> Iterator[Fault]:
     for kind in ('odom', *OBSERVATION_TOPICS):
-        flow = of.flow(kind)
+        flow = given.flow(kind)
         count = flow.rejected_in_a_row.total()
         is_reported_elsewhere = flow.rejected_in_a_row.keys() <= {RejectionReason.TOO_LARGE}
-        is_long = of.now - flow.rejected_since >= MIN_REJECTED_TIME
+        is_long = given.now - flow.rejected_since >= MIN_REJECTED_TIME
         if count >= MIN_REJECTED and is_long and not is_reported_elsewhere:
             is_expected = flow.rejected_in_a_row.keys() <= SENT_AGAIN
             yield Fault(
                 Level.WARN if is_expected else Level.ERROR,
-                f'the last {count} messages on {of.topic(kind)} were all rejected:'
+                f'the last {count} messages on {given.topic(kind)} were all rejected:'
                 f' {_reasons(flow.rejected_in_a_row)}')
 
 
-def _too_large(of: RobotInput) -> Iterator[Fault]:
+def _too_large(given: RobotInput) -> Iterator[Fault]:
     for kind in OBSERVATION_TOPICS:
-        largest = of.flow(kind).largest
-        if largest is not None and of.now - (largest.received or 0) <= RATE_WINDOW:
+        largest = given.flow(kind).largest
+        if largest is not None and given.now - (largest.received or 0) <= RATE_WINDOW:
             yield Fault(Level.ERROR, (
-                f'{of.robot} publishes {largest.points:,} points a scan ({largest.size:,} bytes)'
-                f' on {of.topic(kind)}, rejected as {RejectionReason.TOO_LARGE.value}: is this a'
-                ' raw cloud? Publish landmarks, or raise max_observations'))
+                f'{given.robot} publishes {largest.points:,} points a scan'
+                f' ({largest.size:,} bytes) on {given.topic(kind)}, rejected as'
+                f' {RejectionReason.TOO_LARGE.value}: is this a raw cloud? Publish'
+                ' landmarks, or raise max_observations'))
 
 
-def _too_frequent(of: RobotInput) -> Iterator[Fault]:
+def _too_frequent(given: RobotInput) -> Iterator[Fault]:
     for kind in ('odom', *OBSERVATION_TOPICS):
-        rate = of.health.rate(of.robot, kind)
+        rate = given.health.rate(given.robot, kind)
         if rate > MAX_RATE:
             yield Fault(Level.ERROR, (
-                f'{of.robot} publishes at least {rate:,.0f} messages a second on {of.topic(kind)}:'
-                ' what is too much for this node is lost; publish at most 100'))
+                f'{given.robot} publishes at least {rate:,.0f} messages a second on'
+                f' {given.topic(kind)}: what is too much for this node is'
+                ' lost; publish at most 100'))
 
 
-def _beyond_limits(of: RobotInput) -> Iterator[Fault]:
-    beyond = of.health.robots[of.robot].recently_rejected()
+def _beyond_limits(given: RobotInput) -> Iterator[Fault]:
+    beyond = given.health.robots[given.robot].recently_rejected()
     for reason, sentence in LIMITS.items():
         if beyond[reason]:
             yield Fault(Level.ERROR, sentence.format(n=beyond[reason]))
 
 
-def _mostly_gated(of: RobotInput) -> Iterator[Fault]:
-    gated, total = of.health.robots[of.robot].gated()
+def _mostly_gated(given: RobotInput) -> Iterator[Fault]:
+    gated, total = given.health.robots[given.robot].gated()
     if total >= MIN_GATE_SAMPLE and gated > GATED_WARN * total:
         level = Level.ERROR if gated > GATED_ERROR * total else Level.WARN
         yield Fault(level, (
@@ -233,32 +235,34 @@ def _mostly_gated(of: RobotInput) -> Iterator[Fault]:
             ' and the covariances'))
 
 
-def _none_used(of: RobotInput) -> Iterator[Fault]:
-    health = of.health.robots[of.robot]
-    patience = max(MIN_UNUSED_TIME, 2 * of.health.longest_lead)
-    if (health.unused_since is None or of.now - health.unused_since < patience
+def _none_used(given: RobotInput) -> Iterator[Fault]:
+    health = given.health.robots[given.robot]
+    patience = max(MIN_UNUSED_TIME, 2 * given.health.longest_lead)
+    if (health.unused_since is None or given.now - health.unused_since < patience
             or health.unused_observations < MIN_UNUSED):
         return
     reasons = [_reasons(health.unused_reasons)] if health.unused_reasons else []
-    waiting = of.health.waiting(of.robot)
+    waiting = given.health.waiting(given.robot)
     if waiting >= MIN_UNUSED:
         reasons.append(f'{waiting} messages wait for later odometry')
-    if not any(_mostly_gated(of)):
+    if not any(_mostly_gated(given)):
         yield Fault(Level.WARN, (
             f'none of {health.unused_observations} observations used for'
-            f' {_seconds(of.now - health.unused_since)}: {"; ".join(reasons) or "not accepted"}'))
+            f' {_seconds(given.now - health.unused_since)}:'
+            f' {"; ".join(reasons) or "not accepted"}'))
 
 
-def _delays_others(of: RobotInput) -> Iterator[Fault]:
-    lag = of.health.lag(of.robot)
+def _delays_others(given: RobotInput) -> Iterator[Fault]:
+    lag = given.health.lag(given.robot)
     if lag <= MAX_LAG:
         return
     gaps = [
-        of.health.flow(name, 'odom').usual_gap() for name in of.health.newest if name != of.robot]
+        given.health.flow(name, 'odom').usual_gap()
+        for name in given.health.newest if name != given.robot]
     if gaps and lag > NORMAL_LAG_RATIO * min(gaps):
         yield Fault(Level.WARN, (
             f'delays the other robots by up to {_seconds(lag)}: its odometry, every'
-            f' {_seconds(of.flow("odom").usual_gap())}, is that much older than theirs'))
+            f' {_seconds(given.flow("odom").usual_gap())}, is that much older than theirs'))
 
 
 #: Each yields the faults of one kind.
@@ -268,11 +272,11 @@ CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
     _mostly_gated, _none_used, _delays_others)
 
 
-def _stopped(of: RobotInput, kind: str, what: str) -> str:
-    is_gone = of.types(kind) == ()
+def _stopped(given: RobotInput, kind: str, what: str) -> str:
+    is_gone = given.types(kind) == ()
     return (
-        f'{what} stopped {_seconds(of.flow(kind).silence(of.now))} ago'
-        + (f': {of.topic(kind)} has no publisher' if is_gone else ''))
+        f'{what} stopped {_seconds(given.flow(kind).silence(given.now))} ago'
+        + (f': {given.topic(kind)} has no publisher' if is_gone else ''))
 
 
 def _reasons(counts: Counter[RejectionReason]) -> str:
