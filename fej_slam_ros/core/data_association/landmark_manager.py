@@ -7,7 +7,8 @@ Their IDs are assigned here, -2 and downwards, so that none is equal to an obser
 landmark is tentative; it is confirmed by repeated observations, or deleted as clutter.
 """
 
-from collections import Counter, deque
+from bisect import insort
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 import math
@@ -28,10 +29,9 @@ from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan
 CONFIRMATION_SCORE = 3
 MAX_UNOBSERVED = 20
 
-#: Number of the latest observations that determine a robot's field of view, of which one in
-#: OUTSIDE_ONE_IN is outside of it: a single wrong range must not extend it.
-VIEW_OBSERVATIONS = 500
-OUTSIDE_ONE_IN = 20
+#: Observations outside of a robot's field of view, which single wrong ranges must not extend: one
+#: from this number of observations on, and one in so many, of which the farthest are kept.
+MIN_VIEW_OBSERVATIONS, OUTSIDE_ONE_IN, MAX_OUTSIDE = 20, 1000, 100
 #: Smallest field of view [m, rad].
 MIN_VIEW_RANGE, MIN_VIEW_BEARING = 1.0, 0.5
 #: Fractions of its range and bearing within which a landmark should be observed, and the
@@ -43,24 +43,27 @@ DETECTION_PROBABILITY = 0.9
 
 @dataclass(slots=True)
 class FieldOfView:
-    """Range [m] and bearing [rad] within which a robot has observed most objects."""
+    """Range [m] and bearing [rad] within which a robot has made all but a few observations."""
 
     range: float = MIN_VIEW_RANGE
     bearing: float = MIN_VIEW_BEARING
-    #: ranges and bearings of the latest observations
-    latest: tuple[deque[float], deque[float]] = field(default_factory=lambda: (
-        deque(maxlen=VIEW_OBSERVATIONS), deque(maxlen=VIEW_OBSERVATIONS)))
+    count: int = 0  #: number of observations
+    farthest: list[float] = field(default_factory=list)  #: the largest ranges, increasing
+    widest: list[float] = field(default_factory=list)  #: the largest bearings, increasing
 
-    def add(self, observations: Sequence[Observation]) -> None:
-        """Adapt the field of view to further observations."""
-        ranges, bearings = self.latest
+    def widen(self, observations: Sequence[Observation]) -> None:
+        """Extend the field of view to contain further observations."""
         for x, y in (observation.z for observation in observations):
-            ranges.append(math.hypot(x, y))
-            bearings.append(abs(math.atan2(y, x)))
-        if ranges:
-            most = -1 - len(ranges) // OUTSIDE_ONE_IN
-            self.range = max(MIN_VIEW_RANGE, sorted(ranges)[most])
-            self.bearing = max(MIN_VIEW_BEARING, sorted(bearings)[most])
+            insort(self.farthest, math.hypot(x, y))
+            insort(self.widest, abs(math.atan2(y, x)))
+        self.count += len(observations)
+        outside = self.count // OUTSIDE_ONE_IN + (self.count >= MIN_VIEW_OBSERVATIONS)
+        for largest in (self.farthest, self.widest):
+            del largest[:-MAX_OUTSIDE]
+        if self.count:
+            last = -1 - min(outside, MAX_OUTSIDE - 1)
+            self.range = max(MIN_VIEW_RANGE, self.farthest[last])
+            self.bearing = max(MIN_VIEW_BEARING, self.widest[last])
 
     def area(self) -> float:
         """Return its area [m^2]."""
@@ -106,7 +109,7 @@ class LandmarkManager:
         view = self.views.setdefault(scan.robot, FieldOfView())
         # The field of view is not needed as long as all observations have IDs.
         if unknown or self.last != NO_ID:
-            view.add(scan.observations)
+            view.widen(scan.observations)
         if not unknown:
             return AssociatedScan(scan, Scan(scan.robot, scan.stamp, ()))
         with_ids = tuple(s for s in scan.observations if s.id != NO_ID)
