@@ -123,7 +123,8 @@ REASONS = {
     RejectionReason.DUPLICATE: 'repeats robot, topic, stamp and content of an earlier message',
     RejectionReason.CONFLICTING: 'different odometry at the same stamp',
     RejectionReason.BEFORE_ODOMETRY: 'scan before the first odometry of the robot',
-    RejectionReason.AFTER_ODOMETRY: 'scan or `set_pose` after the last odometry of the robot, at the end',
+    RejectionReason.AFTER_ODOMETRY: (
+        'scan or `set_pose` after the last odometry of the robot, at the end'),
     RejectionReason.LATE: 'older than the state of the robot',
     RejectionReason.BEFORE_CHECKPOINT: 'older than the stamps that a restored run remembers',
     RejectionReason.FUTURE: 'more than `future_limit` ahead of reception',

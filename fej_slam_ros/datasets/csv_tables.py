@@ -9,7 +9,7 @@ Numbers are written so that they are read back to the same bits.
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 import csv
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal, DecimalException
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -25,6 +25,7 @@ from fej_slam_ros.core.records import (
     Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.datasets.file_checks import checked_stamp, require_folder
+from fej_slam_ros.datasets.scans import divided, ObservationT
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers
 
@@ -49,7 +50,6 @@ COLUMNS = {
 #: Robot and stamp [ns].
 Event = tuple[str, int]
 RowT = TypeVar('RowT')
-ObservationT = TypeVar('ObservationT')
 
 
 def tables(records: Iterable[Record]) -> dict[str, list[Sequence[object]]]:
@@ -189,7 +189,7 @@ def _from_seconds(text: str) -> int:
     """Return a time of any number of digits in nanoseconds."""
     try:
         return round(Decimal(text) * NS)
-    except (InvalidOperation, OverflowError):
+    except (DecimalException, OverflowError):
         raise ValueError(f'time is {text!r} and not a number of seconds') from None
 
 
@@ -200,15 +200,23 @@ def _odometry(cells: Cells) -> Odometry:
 
 
 def _landmark(cells: Cells) -> tuple[Event, Observation | None]:
-    if not cells['id']:
+    if _is_empty(cells, 'id'):
         return _event(cells), None
-    return _event(cells), Observation(_id(cells, NO_ID), *_point(cells))
+    landmark = _id(cells, NO_ID) if cells['id'] else NO_ID
+    return _event(cells), Observation(landmark, *_point(cells))
 
 
 def _robot(cells: Cells) -> tuple[Event, RobotObservation | None]:
-    if not cells['observed']:
+    if _is_empty(cells, 'observed'):
         return _event(cells), None
+    if not cells['observed']:
+        raise ValueError('observed is empty')
     return _event(cells), RobotObservation(cells['observed'], *_point(cells))
+
+
+def _is_empty(cells: Cells, name: str) -> bool:
+    """Return whether a row is that of a scan without observations; raise a KeyError without it."""
+    return not cells[name] and not any(cells.get(column) for column in (*POINT, *POLAR))
 
 
 def _pose_prior(cells: Cells) -> PosePrior:
@@ -243,6 +251,7 @@ def _point(cells: Cells) -> tuple[Array, Array]:
 def _scans(
     rows: Iterable[tuple[Event, ObservationT | None]]
 ) -> Iterator[tuple[Event, tuple[ObservationT, ...]]]:
-    """Yield the observations in consecutive rows of one robot and stamp."""
+    """Yield the scans in consecutive rows of one robot and stamp."""
     for event, of_event in groupby(rows, lambda row: row[0]):
-        yield event, tuple(observation for _, observation in of_event if observation is not None)
+        for scan in divided(observation for _, observation in of_event if observation is not None):
+            yield event, scan

@@ -33,6 +33,13 @@ def errors_name(path: Path) -> Iterator[None]:
         raise UserError(f'{path}: {error}; fetch the file again') from error
 
 
+def checked_landmark_id(number: int) -> int:
+    """Return a landmark ID; raise a `ValueError` if no bag can have it."""
+    if not 0 <= number <= MAX_ID:
+        raise ValueError(f'id is {number} and not from 0 to {MAX_ID}')
+    return number
+
+
 def checked_stamp(stamp: int) -> int:
     """Return a stamp [ns]; raise a `ValueError` if no message can have it."""
     if not 0 <= stamp < LAST_SECOND * NS:

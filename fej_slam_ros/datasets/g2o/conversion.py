@@ -21,6 +21,7 @@ from fej_slam_ros.core.records import (
     MAX_ID, NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
+from fej_slam_ros.datasets.scans import divided
 from fej_slam_ros.errors import UserError
 
 #: Stamp of the first pose of each robot without stamps [ns].
@@ -83,8 +84,7 @@ def records(graph: Graph, robots: Trajectories, unused: Counter[str]) -> list[Re
     unused['relative pose beside the trajectories'] += robots.unused
     for edge in graph.observations:
         if edge.begin in robots.names:
-            of_robots, robot = ids[edge.end], robots.names[edge.begin].robot
-            landmark = of_robots[robot if robot in of_robots else '']
+            landmark = _id_of(ids, edge.end, robots.names[edge.begin].robot)
             landmarks[edge.begin].append(Observation(landmark, edge.z, edge.R))
         else:
             unused['observation from a pose without odometry'] += 1
@@ -97,8 +97,10 @@ def records(graph: Graph, robots: Trajectories, unused: Counter[str]) -> list[Re
     result: list[Record] = []
     for robot in robots.poses:
         result += _odometry(robot, robots)
-    result += (Scan(*robots.names[k], tuple(seen)) for k, seen in landmarks.items())
-    result += (RobotScan(*robots.names[k], tuple(seen)) for k, seen in others.items())
+    result += (
+        Scan(*robots.names[k], scan) for k, seen in landmarks.items() for scan in divided(seen))
+    result += (
+        RobotScan(*robots.names[k], scan) for k, seen in others.items() for scan in divided(seen))
     return sorted(result, key=attrgetter('stamp'))
 
 
@@ -130,13 +132,24 @@ def _odometry(robot: str, robots: Trajectories) -> Iterator[Odometry]:
         yield Odometry(robot, stamp, pose, edge.R / dt ** 2)
 
 
+def _id_of(ids: Mapping[int, Mapping[str, int]], vertex: int, robot: str) -> int:
+    """Return the ID of a landmark for a robot; raise a `UserError` if it has none."""
+    names = ids.get(vertex, {})
+    if not names.keys() & {robot, ''}:
+        raise UserError(
+            f'landmark {vertex}, which {robot} observes, has no ID for it in the comments'
+            ' "# fej_slam LANDMARK": add one, or remove all these comments')
+    return names[robot] if robot in names else names['']
+
+
 def _landmark_ids(graph: Graph) -> dict[int, dict[str, int]]:
     """Return the IDs of each landmark by robot, '' for all robots."""
     if graph.keys:
         return {vertex: dict(keys) for vertex, keys in graph.keys.items()}
     vertices = sorted({edge.end for edge in graph.observations})
     # The numbers of GTSAM contain a letter, and are beyond the IDs of a bag.
-    numbers = vertices if vertices and vertices[-1] <= MAX_ID else range(len(vertices))
+    are_ids = bool(vertices) and vertices[0] >= 0 and vertices[-1] <= MAX_ID
+    numbers = vertices if are_ids else range(len(vertices))
     return {vertex: {'': number} for vertex, number in zip(vertices, numbers)}
 
 

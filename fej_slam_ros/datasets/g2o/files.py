@@ -13,13 +13,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 import math
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import (
     Array, pose_rotation, rotation, symmetric, upper_triangular)
 from fej_slam_ros.core.motion_models import polar
-from fej_slam_ros.datasets.file_checks import checked_stamp
+from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
 from fej_slam_ros.errors import UserError
 
@@ -87,7 +88,7 @@ def written(graph: Graph) -> Iterator[str]:
 class _Reader:
     """Collects the lines of a file, and their number."""
 
-    def __init__(self, noise: Callable[[Array], Array]) -> None:
+    def __init__(self, noise: 'IsamNoise') -> None:
         self.lines = 0
         self.graph = Graph()
         self.unused: Counter[str] = Counter()
@@ -119,7 +120,7 @@ class _Reader:
             self.graph.names[int(vertex)] = PoseName(names[0], checked_stamp(int(names[1])))
         else:
             self.graph.keys[int(vertex)] = tuple(
-                ('' if robot == ANY else robot, int(k))
+                ('' if robot == ANY else robot, checked_landmark_id(int(k)))
                 for robot, k in zip(names[::2], names[1::2]))
 
     def _pose(self, words: list[str]) -> None:
@@ -148,7 +149,11 @@ class _Reader:
 
     def _isam_odometry(self, words: list[str]) -> None:
         numbers = _numbers(words[2:], 9)
-        self._add_increment(words, numbers[:3], self._noise(numbers[3:]))
+        u, R = numbers[:3], self._noise.covariance(numbers[3:])
+        if self._noise.is_at_begin:
+            self._add(self.graph.increments, words, u, R)
+        else:
+            self._add_increment(words, u, R)
 
     def _observation(self, words: list[str]) -> None:
         numbers = _numbers(words[2:], 5)
@@ -157,7 +162,7 @@ class _Reader:
 
     def _isam_landmark(self, words: list[str]) -> None:
         numbers = _numbers(words[2:], 5)
-        self._add(self.graph.observations, words, numbers[:2], self._noise(numbers[2:]))
+        self._add(self.graph.observations, words, numbers[:2], self._noise.covariance(numbers[2:]))
 
     def _bearing_range(self, words: list[str]) -> None:
         beta, r, sigma_beta, sigma_r = _numbers(words[2:], 4).tolist()
@@ -213,10 +218,17 @@ def _line(tag: str, vertices: list[int], numbers: Iterable[float]) -> str:
     return ' '.join([tag, *map(str, vertices), *(repr(float(x)) for x in numbers)])
 
 
-#: What the numbers behind a measurement of ODOMETRY and LANDMARK are; returns the covariance.
-NOISES: Mapping[str, Callable[[Array], Array]] = {
-    'covariance': symmetric,
-    'information': lambda upper: _inverse(symmetric(upper)),
-    'square_root': lambda upper: _inverse(
-        upper_triangular(upper).T @ upper_triangular(upper)),
+class IsamNoise(NamedTuple):
+    """What the numbers behind a measurement of ODOMETRY and LANDMARK are."""
+
+    covariance: Callable[[Array], Array]  #: returns the covariance of these numbers
+    #: whether the error of a relative pose is in the frame at its begin, as iSAM takes it
+    is_at_begin: bool = False
+
+
+NOISES: Mapping[str, IsamNoise] = {
+    'covariance': IsamNoise(symmetric),
+    'information': IsamNoise(lambda upper: _inverse(symmetric(upper))),
+    'square_root': IsamNoise(lambda upper: _inverse(
+        upper_triangular(upper).T @ upper_triangular(upper)), is_at_begin=True),
 }

@@ -66,7 +66,8 @@ def input_message(
     if isinstance(record, TruePose):
         return f'{record.robot}/ground_truth', true_pose(record)
     if isinstance(record, PosePrior):
-        estimate = PoseEstimate(record.robot, record.stamp, MAP, record.pose, record.P)
+        # The empty frame is that of the map, whatever its name.
+        estimate = PoseEstimate(record.robot, record.stamp, '', record.pose, record.P)
         return f'{record.robot}/set_pose', pose(estimate, 0.0)
     if isinstance(record, RobotLaserScan):
         return f'{record.robot}/scan', laser_scan(record)

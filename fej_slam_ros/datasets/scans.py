@@ -1,0 +1,30 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Scans of the observations that a file lists for one robot and stamp."""
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from fej_slam_ros.core.records import NO_ID, Observation, RobotObservation
+
+ObservationT = TypeVar('ObservationT', Observation, RobotObservation)
+
+
+def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT, ...]]:
+    """
+    Yield observations as scans, of which each observes a landmark or robot once.
+
+    Files do not tell the scans of several sensors at one stamp apart. Without any observation
+    there is one empty scan.
+    """
+    scan: list[ObservationT] = []
+    observed: set[int | str] = set()
+    for observation in observations:
+        name = observation.id if isinstance(observation, Observation) else observation.observed
+        if name in observed:
+            yield tuple(scan)
+            scan, observed = [], set()
+        scan.append(observation)
+        if name != NO_ID:
+            observed.add(name)
+    yield tuple(scan)
