@@ -100,12 +100,15 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     sources = _sources(arguments)
     names, truth = sources.run_names, sources.truth
     result = run_results.read_bag(path, names) if is_bag else run_results.read_folder(path)
-    true_data = run_results.read_truth(truth, sources.truth_names)
+    true_data, invalid_truth = run_results.read_truth(truth, sources.truth_names)
     evaluation = RunEvaluation(result, true_data, arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
-    if result.invalid_messages:
-        report['invalid_messages'] = result.invalid_messages
-        print(f'{result.invalid_messages} invalid messages of {path} are left out')
+    for name, count, of, source in (
+            ('invalid_messages', result.invalid_messages, '', path),
+            ('invalid_true_messages', invalid_truth, ' of ground truth', truth)):
+        if count:
+            report[name] = count
+            print(f'{count} invalid messages{of} in {source} are left out')
     for name, matched in evaluation.matched.items():
         _write_robot(output, name, matched, evaluation.nees.get(name))
     if arguments.plots:

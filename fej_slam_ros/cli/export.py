@@ -9,19 +9,22 @@ beside the output are those to run the exported data with: what was applied to t
 
 from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 from fej_slam_ros.atomic_files import write_csv, write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.datasets import csv_tables
-from fej_slam_ros.datasets.g2o import files
+from fej_slam_ros.datasets.g2o import conversion, files
 from fej_slam_ros.datasets.g2o.graph import Graph, graph_of
+from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
@@ -29,14 +32,23 @@ from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.record_collector import collect
 from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
 
+NO_ODOMETRY = 'the bag has no valid odometry: replay it to see the rejection reasons'
 #: Parameters, of the team or of a robot, that the exported measurements contain.
 IN_TABLES = ('sensor_pose',)
 IN_GRAPH = (
     *IN_TABLES, 'odometry_sigma', 'landmark_sigma', 'odometry_scale', 'odometry_turn_bias',
     'odometry_noise_scale', 'landmark_noise_scale', 'robot_noise_scale')
 
-#: Writes the output from messages and settings, and returns the lines of a report.
-Export = Callable[[Path, Iterable[RawMessage], RunSettings], list[str]]
+
+class Exported(NamedTuple):
+    """What an export has written."""
+
+    report: list[str]  #: lines with the numbers of records
+    robots: list[str]  #: names in the order in which `convert` numbers them
+
+
+#: Writes the output from messages and settings.
+Export = Callable[[Path, Iterable[RawMessage], RunSettings], Exported]
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -65,15 +77,18 @@ def run(arguments: Namespace) -> int:
     with claimed(output, arguments.force), claimed(beside, arguments.force):
         messages = team_messages(
             arguments.bag, settings.estimation, names_in(arguments, arguments.bag))
-        report = arguments.export(output, messages, settings)
-        write_text(beside, parameters.dump_values(_without(values, arguments.applied)))
-    print('\n'.join([*report, f'wrote {output} and {beside}']))
+        exported = arguments.export(output, messages, settings)
+        kept = {
+            name: x for name, x in values.items()
+            if name.rpartition('.')[2] not in arguments.applied}
+        write_text(beside, parameters.dump_values(kept | _ids(settings, exported.robots)))
+    print('\n'.join([*exported.report, f'wrote {output} and {beside}']))
     return 0
 
 
 def _export_graph(
     path: Path, messages: Iterable[RawMessage], settings: RunSettings
-) -> list[str]:
+) -> Exported:
     """Write poses and landmarks as `smooth` estimates them, and all measurements."""
     node = replace(settings.node, on_time_jump='refuse', restore='')
     session = BagSmootherSession(replace(settings, node=node), None)
@@ -86,24 +101,32 @@ def _export_graph(
     team = session.team
     graph = graph_of(team.task(), team.solution, {
         name: trajectory.stamps for name, trajectory in team.trajectories.items()})
+    if not graph.names:
+        raise UserError(NO_ODOMETRY)
     write_text(path, ''.join(f'{line}\n' for line in files.written(graph)))
-    return [*_graph_report(graph), *_rejected(team.statistics, but=[RejectionReason.GATED])]
+    return Exported(
+        [*_graph_report(graph), *_rejected(team.statistics, but=[RejectionReason.GATED])],
+        [*conversion.by_robot(graph.names)])
 
 
 def _export_tables(
     folder: Path, messages: Iterable[RawMessage], settings: RunSettings
-) -> list[str]:
+) -> Exported:
     """Write odometry, observations, pose priors and ground truth as tables."""
     collector = collect(messages, settings, needs_ids=False)
-    tables = csv_tables.tables(record for record, _ in collector.records)
+    records = [record for record, _ in collector.records]
+    if not any(isinstance(record, Odometry) for record in records):
+        raise UserError(NO_ODOMETRY)
+    tables = csv_tables.tables(records)
     for name in csv_tables.COLUMNS:
         if name in tables:
             write_csv(folder / name, tables[name])
         else:
             (folder / name).unlink(missing_ok=True)
-    return [
+    report = [
         *(f'{name}: {len(rows) - 1} rows' for name, rows in tables.items()),
         *_rejected(collector.statistics)]
+    return Exported(report, [robot.name for robot in csv_tables.settings(records).robots])
 
 
 def _graph_report(graph: Graph) -> Iterator[str]:
@@ -127,5 +150,9 @@ def _rejected(
                 yield f'{robot}: rejected as {reason.value}: {count}'
 
 
-def _without(values: Mapping[str, object], applied: Collection[str]) -> dict[str, object]:
-    return {name: x for name, x in values.items() if name.rpartition('.')[2] not in applied}
+def _ids(settings: RunSettings, exported: Sequence[str]) -> dict[str, object]:
+    """Return the IDs by which `convert` writes observations of robots, as parameters."""
+    without_data = (
+        robot.name for robot in settings.estimation.robots if robot.name not in exported)
+    names = [*exported, *without_data]
+    return {f'{name}.id': number for number, name in enumerate(names, start=1)}

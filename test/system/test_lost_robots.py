@@ -90,8 +90,10 @@ def test_among_surveyed_landmarks_the_others_stay_accurate_and_consistent(kind):
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 def test_inflated_scans_of_a_lost_robot_harm_nobody():
     runs = [
-        pair(seed, DURING[seed % len(DURING)], inflate_rejected_scans=True) for seed in range(40)]
+        pair(seed, DURING[seed % len(DURING)], inflate_rejected_scans=True) for seed in range(80)]
 
-    assert sum(is_poisoned(*of_both) for of_both in runs) <= 1
+    # One in 40: without the landmarks of the lost robot the errors of some runs are larger.
+    assert sum(is_poisoned(*of_both) for of_both in runs) <= 2

@@ -56,12 +56,10 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
 
     """
     names = graph.names or _numbered(graph, period)
-    by_robot: dict[str, list[int]] = defaultdict(list)
-    for vertex in sorted(names, key=lambda vertex: (names[vertex].stamp, vertex)):
-        by_robot[names[vertex].robot].append(vertex)
+    poses = by_robot(names)
     edges = {(edge.begin, edge.end): edge for edge in graph.increments}
     increments = {}
-    for robot, vertices in by_robot.items():
+    for robot, vertices in poses.items():
         missing = [pair for pair in pairwise(vertices) if pair not in edges]
         if missing:
             raise UserError(
@@ -73,7 +71,15 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
     if not any(increments.values()):
         raise UserError('it has no odometry: a relative pose is needed between each two poses')
     used = sum(map(len, increments.values()))
-    return Trajectories(by_robot, increments, names, len(graph.increments) - used)
+    return Trajectories(poses, increments, names, len(graph.increments) - used)
+
+
+def by_robot(names: Mapping[int, PoseName]) -> dict[str, list[int]]:
+    """Return the vertices of each robot in the order of stamps; the first robot has ID 1."""
+    poses: dict[str, list[int]] = defaultdict(list)
+    for vertex in sorted(names, key=lambda vertex: (names[vertex].stamp, vertex)):
+        poses[names[vertex].robot].append(vertex)
+    return poses
 
 
 def records(graph: Graph, robots: Trajectories, unused: Counter[str]) -> list[Record]:

@@ -55,13 +55,19 @@ def read_pose(cells: Cells) -> PoseRow:
     """Return a row of a trajectory; raises ValueError for cells that are not numbers."""
     numbers = np.array(finite_numbers(cells, TRAJECTORY_COLUMNS[1:-1]))
     return PoseRow(
-        int(cells['stamp_ns'] or ''), cells['frame'] or '', numbers[:3],
-        symmetric(numbers[3:]))
+        _integer(cells, 'stamp_ns'), cells['frame'] or '', numbers[:3], symmetric(numbers[3:]))
 
 
 def read_landmark(cells: Cells) -> LandmarkRow:
     """Return a row of a map; raises ValueError for cells that are not numbers."""
     numbers = np.array(finite_numbers(cells, SURVEY_COLUMNS[1:]))
     return LandmarkRow(
-        int(cells['id'] or ''), cells.get('frame') or '', numbers[:2],
-        symmetric(numbers[2:]))
+        _integer(cells, 'id'), cells.get('frame') or '', numbers[:2], symmetric(numbers[2:]))
+
+
+def _integer(cells: Cells, name: str) -> int:
+    """Return an integer that an array can hold; raises ValueError for others."""
+    number = int(cells[name] or '')
+    if abs(number) > np.iinfo(np.int64).max:
+        raise ValueError(f'{name} is out of range')
+    return number

@@ -127,18 +127,19 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
         _trajectories(rows), landmarks, next(iter(nis.values()), {}), invalid_messages=invalid)
 
 
-def read_truth(path: Path, names: TopicNames = RECORDED_NAMES) -> RecordedTruth:
+def read_truth(path: Path, names: TopicNames = RECORDED_NAMES) -> tuple[RecordedTruth, int]:
     """
-    Return ground truth, from its topics in a bag or from ``<robot>.tum`` in a folder.
+    Return ground truth, and the number of invalid messages that are left out.
 
+    It comes from its topics in a bag or from ``<robot>.tum`` in a folder.
     In a folder, ``<robot>_truth.tum`` takes precedence over ``<robot>.tum``, and true landmarks
     may be in the columns id, x and y of ``landmarks.csv``.
 
     """
-    return _true_bag(path, names) if is_bag(path) else _true_folder(path)
+    return _true_bag(path, names) if is_bag(path) else (_true_folder(path), 0)
 
 
-def _true_bag(path: Path, names: TopicNames) -> RecordedTruth:
+def _true_bag(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
     robots = _robots(bags.topics(path, names), 'ground_truth', ODOMETRY)
     if not robots:
         raise UserError(
@@ -152,10 +153,10 @@ def _true_bag(path: Path, names: TopicNames) -> RecordedTruth:
             else incoming.true_pose(message, topic.partition('/')[0]))
 
     # Messages that the estimator rejects are not ground truth of the evaluation either.
-    _read_messages(path, {
+    invalid = _read_messages(path, {
         TRUE_LANDMARKS: CLOUD, **{f'{robot}/ground_truth': ODOMETRY for robot in robots}},
         names, read)
-    return truth
+    return truth, invalid
 
 
 def _true_folder(folder: Path) -> RecordedTruth:
@@ -232,8 +233,10 @@ def _is_written(name: str, entry: Any) -> bool:
     """Return whether a run writes such content of an entry."""
     if name == 'nis':
         return all(
-            isinstance(of, dict) and isinstance(of.get('sum'), (int, float))
-            and isinstance(of.get('dof'), (int, float)) for of in entry.values())
+            isinstance(of, dict) and all(
+                isinstance(of.get(key), (int, float)) and np.isfinite(of[key])
+                for key in ('sum', 'dof'))
+            for of in entry.values())
     return name != 'remap' or all(isinstance(rule, str) for rule in entry)
 
 
@@ -300,5 +303,7 @@ def _tum_row(line: str) -> tuple[int, Array]:
     seconds, *words = line.replace(',', ' ').split()
     numbers = finite_numbers(dict(zip(TUM_COLUMNS, words, strict=True)), TUM_COLUMNS)
     x, y, _, *quaternion = numbers
+    if abs(sum(np.square(quaternion)) - 1.0) > incoming.NORM_TOLERANCE:
+        raise ValueError('its quaternion does not have the norm 1')
     # A float would lose the nanoseconds.
     return round(Decimal(seconds) * NS), np.array([x, y, from_quaternion(*quaternion)])

@@ -7,7 +7,9 @@ from dataclasses import replace
 
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import Record
+from fej_slam_ros.core.ordering.record_memory import identity, RecordIdentity
+from fej_slam_ros.core.records import Record, TrueLandmarks, TruePose
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
@@ -31,8 +33,15 @@ class RecordCollector:
         self.statistics = InputStatistics()
         self.truth = RecordedTruth()
         self.records: list[tuple[Record, int | None]] = []
+        self._known: set[tuple[str, RecordIdentity]] = set()
 
     def add(self, record: Record, received: int | None = None) -> None:
+        if not isinstance(record, (TruePose, TrueLandmarks)):
+            known = record.robot, identity(record)
+            if known in self._known:
+                self.statistics.reject_record(record, RejectionReason.DUPLICATE)
+                return
+            self._known.add(known)
         self.records.append((record, received))
 
     def used(self, robot: str) -> int:

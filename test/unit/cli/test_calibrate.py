@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 import math
+import shutil
 
 import numpy as np
 import pytest
@@ -76,6 +77,17 @@ def test_the_filter_is_consistent_after_calibration(calibrate):
         assert abs(nis_after - 1.0) < 0.15 < abs(nis_before - 1.0)
         assert 0.3 < nees_after < 2.5
         assert abs(math.log(nees_after)) < abs(math.log(nees_before))
+
+
+def test_messages_that_were_recorded_twice_count_once(calibrate, places):
+    calibrate(RECORDS)
+    once = places[2].read_text()
+    shutil.rmtree(places[0])
+
+    status, *_ = calibrate([record for record in RECORDS for _ in range(2)], '--force')
+
+    assert status == 0
+    assert places[2].read_text() == once
 
 
 def with_odometry_errors(records, scale):

@@ -14,6 +14,7 @@ import pytest
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.csv_rows import TRAJECTORY_COLUMNS
 from fej_slam_ros.ros.files.run_files import tum_line
 from fej_slam_ros.ros.messages import outgoing
 from helpers.paths import BAGS
@@ -197,7 +198,14 @@ def test_missing_matplotlib_is_reported_with_a_cure(replayed, evaluate):
     (lambda folder: (folder / 'trajectory_r1.csv').write_text('a,b\n1,2\n'), 'lacks the column'),
     (lambda folder: (folder / 'landmarks.csv').write_text(
         'id,x,y,var_x,cov_xy,var_y,frame\n1,nan,0,1,0,1,map\n'), 'row 2 is damaged'),
+    (lambda folder: (folder / 'landmarks.csv').write_text(
+        f'id,x,y,var_x,cov_xy,var_y,frame\n{10**20},0,0,1,0,1,map\n'), 'row 2 is damaged'),
+    (lambda folder: (folder / 'trajectory_r1.csv').write_text(
+        ','.join(TRAJECTORY_COLUMNS) + f'\n{10**20},0,0,0,1,0,0,1,0,1,map\n'),
+        'row 2 is damaged'),
     (lambda folder: (folder / 'summary.json').write_text('{'), 'run again to replace it'),
+    (lambda folder: (folder / 'summary.json').write_text(
+        '{"nis": {"r1": {"sum": 1, "dof": NaN}}}'), 'run again to replace it'),
     (lambda folder: (folder / 'summary.json').unlink(), 'give the truth with --truth'),
     (lambda folder: [file.unlink() for file in folder.glob('trajectory_*')], 'give the folder'),
 ])
@@ -212,6 +220,29 @@ def test_a_damaged_folder_is_reported_in_one_sentence(
     assert (status, report) == (1, None)
     assert sentence in printed.err
     assert printed.err.count('\n') == 1
+
+
+def test_a_truth_with_a_quaternion_of_another_norm_is_reported(replayed, evaluate, tmp_path):
+    (tmp_path / 'truth').mkdir()
+    (tmp_path / 'truth' / 'r1.tum').write_text('1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 2\n')
+
+    status, _, printed = evaluate(
+        replayed / 'two_circles', '--no-plots', '--truth', tmp_path / 'truth')
+
+    assert (status, printed.err.count('\n')) == (1, 1)
+    assert 'row 2 is damaged' in printed.err
+
+
+def test_invalid_messages_of_ground_truth_are_counted(replayed, evaluate, tmp_path):
+    truth = list(bags.read(BAGS / 'two_circles'))
+    poses = [m for m in truth if m.topic.endswith('r1/ground_truth')]
+    write_bag(tmp_path / 'truth', [*truth, *(replace(m, raw=m.raw[:30]) for m in poses[:7])])
+
+    status, report, printed = evaluate(
+        replayed / 'two_circles', '--no-plots', '--truth', tmp_path / 'truth')
+
+    assert (status, report['invalid_true_messages']) == (0, 7)
+    assert '7 invalid messages of ground truth in' in printed.out
 
 
 @pytest.mark.parametrize(('records', 'sentence'), [

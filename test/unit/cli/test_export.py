@@ -8,6 +8,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.records import (
+    Observation, Odometry, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.ros import parameters
 from helpers.optional import is_installed, optional
 from helpers.paths import BAGS
@@ -130,9 +132,50 @@ def test_what_is_applied_to_the_data_is_left_out_of_their_parameters(tmp_path):
         left[kind] = parameters.load_values(
             tmp_path / f'{kind}.yaml', ['estimator']).keys() - {'robots'}
 
+    ids = {'r1.id', 'r2.id'}
     assert left == {
-        'g2o': {'max_delay'},
-        'csv': applied.keys() - {'r1.sensor_pose'}}
+        'g2o': {'max_delay'} | ids,
+        'csv': applied.keys() - {'r1.sensor_pose'} | ids}
+
+
+def facing_team(names, cameras=1):
+    """Return records of robots in a row that see the others and some landmarks, and drive on."""
+    rng, R = np.random.default_rng(1), 0.0025 * np.eye(2)
+    points = {100 + k: np.array(p) for k, p in enumerate(rng.uniform(-6.0, 6.0, (8, 2)))}
+    places = {name: np.array([0.0, 2.0 * k]) for k, name in enumerate(names)}
+    for step in range(30):
+        for name, place in places.items():
+            x, t = np.array([0.05 * step, 0.0]), 10**9 + step * 10**8
+            yield Odometry(name, t, np.append(x, 0.0), 1e-4 * np.eye(3))
+            for _ in range(cameras):
+                yield Scan(name, t, tuple(
+                    Observation(id_, point - place - x + rng.normal(0.0, 0.05, 2), R)
+                    for id_, point in points.items()))
+            yield RobotScan(name, t, tuple(
+                RobotObservation(other, there - place + rng.normal(0.0, 0.05, 2), R)
+                for other, there in places.items() if other != name))
+
+
+@pytest.mark.parametrize('kind', ['g2o', 'csv'])
+@pytest.mark.parametrize('cameras', [1, 2])
+@pytest.mark.parametrize('ids', [{}, {'zoe.id': 7, 'bob.id': 1, 'amy.id': 2}])
+def test_ids_of_robots_and_scans_of_several_sensors_survive_the_round_trip(
+    kind, cameras, ids, tmp_path
+):
+    names = ['zoe', 'bob', 'amy']
+    numbers = {name: ids.get(f'{name}.id', k) for k, name in enumerate(names, start=1)}
+    bag = write_bag(tmp_path / 'bag', [
+        raw_record(record, numbers) for record in facing_team(names, cameras)])
+    write_parameters(tmp_path / 'bag.yaml', robots=names, gate_probability=1.0, **ids)
+    expected = estimates(bag, f'{bag}.yaml', tmp_path / 'expected')
+    _, output = exported(kind, bag, tmp_path)
+    assert run_verb('convert', kind, '--input', output, '--output', tmp_path / 'back') == 0
+
+    got = estimates(tmp_path / 'back', f'{output}.yaml', tmp_path / 'got')
+
+    assert got.keys() == expected.keys() == {f'trajectory_{name}.csv' for name in names}
+    for name, rows in expected.items():
+        assert_allclose(got[name], rows, rtol=0.0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize('kind', ['g2o', 'csv'])

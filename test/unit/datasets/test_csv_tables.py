@@ -9,7 +9,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_equal
 import pytest
 
-from fej_slam_ros.core.records import Odometry, PosePrior, RobotScan, Scan, TrueLandmarks
+from fej_slam_ros.core.records import (
+    NO_ID, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks)
 from fej_slam_ros.datasets import csv_tables
 from fej_slam_ros.errors import UsageError, UserError
 from helpers.records import odometry, robot_scan, scan, true_pose
@@ -51,6 +52,34 @@ def test_rows_of_one_robot_and_stamp_are_one_scan(tmp_path):
 
     assert [(r.stamp, [o.id for o in r.observations]) for r in records[1:]] == [
         (5, [1, 2]), (6, [1])]
+
+
+LANDMARK_HEAD = 'robot,stamp_ns,id,x,y,var_x,cov_xy,var_y\n'
+
+
+def test_observations_of_one_landmark_at_one_stamp_are_of_several_scans(tmp_path):
+    rows = ''.join(f'a,5,{id_},1,2,.1,0,.2\n' for id_ in (1, -1, -1, 2, 2, 1))
+
+    records = csv_tables.read(write(tmp_path, odometry=ODOMETRY, landmarks=LANDMARK_HEAD + rows))
+
+    assert [(r.stamp, [o.id for o in r.observations]) for r in records[1:]] == [
+        (5, [1, -1, -1, 2]), (5, [2, 1])]
+
+
+def test_an_observation_with_an_empty_id_is_one_without_id(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY, landmarks=f'{LANDMARK_HEAD}a,5,,1,2,.1,0,.2\n'))
+
+    assert [o.id for o in records[1].observations] == [NO_ID]
+
+
+def test_an_observation_of_a_robot_without_name_is_an_error(tmp_path):
+    folder = write(
+        tmp_path, odometry=ODOMETRY,
+        robots='robot,stamp_ns,observed,x,y,var_x,cov_xy,var_y\na,5,,1,2,.1,0,.2\n')
+
+    with pytest.raises(UserError, match=r'robots\.csv: correct line 2: observed is empty'):
+        csv_tables.read(folder)
 
 
 def odometry_table(tmp_path, milliseconds):
@@ -127,6 +156,7 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
     ('robot,stamp_ns,id,x,y', 'a,1,1,0,0', "it lacks the column 'var_x'"),
     ('robot,stamp_ns,x,y,var_x,cov_xy,var_y', 'a,1,0,0,1,0,1', "it lacks the column 'id'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1e999999999,1,0,0,1,0,1', 'time is'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,-1,1,0,0,1,0,1', 'its time is -1000000000 ns'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', 'its time is 30*0 ns')])

@@ -72,6 +72,21 @@ def test_landmarks_with_symbols_of_gtsam_are_numbered():
     assert [o.id for o in records[-1].observations] == [1, 0]
 
 
+def test_landmarks_with_numbers_that_are_no_ids_are_numbered():
+    _, records, _ = converted(Graph(
+        increments=[step(0, 1)], observations=[sighting(1, -1), sighting(1, -7)]))
+
+    assert [o.id for o in records[-1].observations] == [1, 0]
+
+
+@pytest.mark.parametrize('keys', [{5: (('', 1),)}, {4: (('b', 1),)}])
+def test_an_observation_of_a_landmark_without_id_in_a_named_graph_is_an_error(keys):
+    with pytest.raises(UserError, match='landmark 4, which a observes, has no ID for it'):
+        converted(Graph(
+            increments=[step(0, 1)], observations=[sighting(1, 4)],
+            names={0: PoseName('a', 5), 1: PoseName('a', 9)}, keys=keys))
+
+
 def test_names_in_a_graph_give_robots_stamps_and_ids():
     graph = Graph(
         increments=[step(0, 1), step(2, 3)], observations=[sighting(1, 4), sighting(3, 4)],

@@ -67,6 +67,15 @@ def test_the_noise_of_a_relative_pose_is_in_the_frame_at_its_end(tmp_path):
     assert_allclose(graph.increments[0].R, np.diag([0.25, 0.04, 1.0]), atol=1e-12)
 
 
+def test_isam_states_the_noise_of_a_relative_pose_in_the_frame_at_its_begin(tmp_path):
+    # Standard deviations of 0.2 m ahead and 0.5 m to the left, as square roots of information.
+    line = f'ODOMETRY 0 1 1 0 {QUARTER!r} {numbers(5, 0, 0, 2, 0, 1)}'
+
+    graph, _ = read(tmp_path, line, noise='square_root')
+
+    assert_allclose(graph.increments[0].R, np.diag([0.04, 0.25, 1.0]), atol=1e-12)
+
+
 def test_a_written_graph_is_read_back(tmp_path):
     graph = Graph(
         {0: np.array([1 / 3, 0.0, -3.0]), 1: np.array([1.0, 1e-300, 1.0])},
@@ -107,7 +116,7 @@ def test_comments_and_empty_lines_are_skipped_and_other_lines_counted(tmp_path):
     'EDGE_SE2 0 1 1 0 0 1 0 0 1 0', 'EDGE_SE2 0 1 nan 0 0 1 0 0 1 0 1', 'VERTEX_SE2 0 x 0 0',
     'EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1', 'EDGE_SE2 0 1 1 0 0 0 0 0 0 0 1', 'EDGE_SE2_XY 0',
     'LANDMARK 0 1 1 1 0 0 0', 'VERTEX_SE2', 'FIX x', '# fej_slam POSE x',
-    '# fej_slam POSE 1 r1 -5'])
+    '# fej_slam POSE 1 r1 -5', '# fej_slam LANDMARK 7 * 4294967301', '# fej_slam LANDMARK 7 * -1'])
 def test_a_damaged_line_is_named_with_its_number(tmp_path, line):
     with pytest.raises(UserError, match=r'graph\.g2o: line 2 is damaged .*; correct or remove it'):
         read(tmp_path, 'VERTEX_SE2 0 0 0 0', line)
