@@ -63,6 +63,7 @@ class Detector:
     scans, without_odometry, lost : number of scans, of those without odometry, which are neither
         corrected nor tested for what moves, and of those that are lost since too many waited or
         time jumped
+    late_odometry : number of odometry records that were not newer than all before
     restarts : number of jumps of time back by more than a second
 
     """
@@ -79,15 +80,16 @@ class Detector:
         self._waiting: deque[StampedScan] = deque()
         self._newest_scan: int | None = None
         self.rejected: Counter[RejectedSegment] = Counter()
-        self.scans = self.without_odometry = self.lost = self.restarts = 0
+        self.scans = self.without_odometry = self.lost = self.restarts = self.late_odometry = 0
 
     def add_odometry(self, record: Odometry) -> None:
-        """Add odometry; a record that is not newer than all before is ignored."""
+        """Add odometry; a record that is not newer than all before is counted and ignored."""
         before = self._stamps[-1] if self._stamps else None
         if before is not None and before - record.stamp > MAX_WAIT:
             self._restart()
             before = None
         if before is not None and record.stamp <= before:
+            self.late_odometry += 1
             return
         Q = np.zeros((3, 3))
         if before is not None and record.twist_covariance is not None:

@@ -112,7 +112,8 @@ class DetectorSession:
         for name, state in self._detectors.items():
             detector = state.detector
             values = {
-                'odometry': state.odometry, 'scans': detector.scans, 'landmarks': state.landmarks,
+                'odometry': state.odometry, 'odometry_late': detector.late_odometry,
+                'scans': detector.scans, 'landmarks': state.landmarks,
                 'scans_without_odometry': detector.without_odometry, 'scans_lost': detector.lost,
                 'time_jumps': detector.restarts,
                 'transforms_rejected': self._frames.rejected.total(),

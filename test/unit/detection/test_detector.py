@@ -82,6 +82,14 @@ def test_a_scan_that_is_not_newer_is_refused():
     assert (of.add_scan(scan), of.add_scan(scan)) == (True, False)
 
 
+def test_odometry_that_is_not_newer_is_counted():
+    of = detector()
+    for stamp in (0, NS, NS // 2, NS):
+        of.add_odometry(Odometry('r1', stamp, np.zeros(3), None))
+
+    assert of.late_odometry == 2
+
+
 def test_uncertain_odometry_during_the_scan_makes_its_first_landmarks_uncertain():
     scan = replace(scan_of(POSTS, beams=BEAMS), time_increment=DURATION / BEAMS)
     found = []
