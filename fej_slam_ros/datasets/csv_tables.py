@@ -19,7 +19,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.core.motion_models import polar
-from fej_slam_ros.core.ordering.backward_stamps import breaks, is_in_recorded_order
+from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import (
     MAX_ID, NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
@@ -47,6 +47,8 @@ COLUMNS = {
     'ground_truth_landmarks.csv': ('id', 'x', 'y'),
 }
 
+#: Share of rows that step back in time above which they are not in the order of recording.
+MAX_SHARE_BACK = 0.01
 #: Robot and stamp [ns].
 Event = tuple[str, int]
 RowT = TypeVar('RowT')
@@ -138,7 +140,7 @@ def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
             stamps[record.robot].append(record.stamp)
     for robot, recorded in stamps.items():
         of_robot = np.array(recorded)
-        if not is_in_recorded_order(of_robot):
+        if len(steps_back(of_robot)) > MAX_SHARE_BACK * len(of_robot):
             continue
         rows = breaks(of_robot)
         if rows:

@@ -18,9 +18,6 @@ from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.records import NS
 
 Stamps = NDArray[np.int64]
-#: Number of rows that step back in time, and their share, above which together a log is not in the
-#: order of recording.
-MAX_STEPS_BACK, MAX_SHARE_BACK = 10, 0.01
 #: Steps back up to this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
 #: Number of rows in a span of stamps, relative to a regular log: with fewer than MIN_DENSITY the
@@ -47,11 +44,6 @@ def steps_back(stamps: Stamps) -> list[int]:
     """Return the rows (in order of recording) whose stamps are far before the previous one's."""
     back: list[int] = np.flatnonzero(np.diff(stamps) < -MAX_DISORDER).tolist()
     return [row + 1 for row in back]
-
-
-def is_in_recorded_order(stamps: Stamps) -> bool:
-    """Return whether few rows step back: not those of two publishers, or sorted by another key."""
-    return len(steps_back(stamps)) <= max(MAX_STEPS_BACK, MAX_SHARE_BACK * len(stamps))
 
 
 def period(stamps: Stamps) -> float:

@@ -5,8 +5,7 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering.backward_stamps import (
-    breaks, is_in_recorded_order, recorded_order, steps_back)
+from fej_slam_ros.core.ordering.backward_stamps import breaks, recorded_order, steps_back
 
 MS = 1_000_000
 
@@ -145,11 +144,3 @@ def test_a_log_in_no_order_is_divided_into_few_parts():
     stamps = np.random.default_rng(1).permutation(regular(0, 400_000))
 
     assert 10 < len(breaks(stamps)) < 100
-
-
-def test_the_rows_of_two_publishers_are_not_in_the_order_of_recording():
-    stamps = regular(0, 10_000)
-    of_both = np.column_stack([stamps, stamps - 300 * MS]).ravel()
-
-    assert not is_in_recorded_order(of_both)
-    assert is_in_recorded_order(np.concatenate([stamps, stamps[250:]]))
