@@ -29,7 +29,7 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
-    DOF, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors, ERROR_WINDOW)
+    DOF, ERROR_WINDOW, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors)
 from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, MAX_ERROR, OdometryErrors)
 from fej_slam_ros.core.ground_truth import RecordedTruth

@@ -103,12 +103,12 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     true_data, invalid_truth = run_results.read_truth(truth, sources.truth_names)
     evaluation = RunEvaluation(result, true_data, arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
-    for name, count, of, source in (
-            ('invalid_messages', result.invalid_messages, '', path),
-            ('invalid_true_messages', invalid_truth, ' of ground truth', truth)):
+    for name, count, what, source in (
+            ('invalid_messages', result.invalid_messages, 'messages', path),
+            ('invalid_true_messages', invalid_truth, 'messages of ground truth', truth)):
         if count:
             report[name] = count
-            print(f'{count} invalid messages{of} in {source} are left out')
+            print(f'{count} invalid {what} in {source} are left out')
     for name, matched in evaluation.matched.items():
         _write_robot(output, name, matched, evaluation.nees.get(name))
     if arguments.plots:

@@ -26,6 +26,7 @@ from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
 #: Verbs that are ROS nodes: ``arguments.ros_args`` holds ``--ros-args`` and all that follows.
 NODES = ('estimator', 'simulator', 'smoother', 'detector', 'adapter')
+#: How nodes are given their arguments.
 NODE_ARGUMENTS = 'write --ros-args --params-file FILE, -p NAME:=VALUE or -r __ns:=/NAME'
 VERBS = (
     *NODES, 'simulate', 'detect', 'adapt', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate',

@@ -21,10 +21,10 @@ from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import (
-    MAX_ID, NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan,
-    Scan, TrueLandmarks, TruePose)
+    NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
+    TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.datasets.file_checks import checked_stamp, require_folder
+from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import divided, ObservationT
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers
@@ -204,7 +204,7 @@ def _odometry(cells: Cells) -> Odometry:
 def _landmark(cells: Cells) -> tuple[Event, Observation | None]:
     if _is_empty(cells, 'id'):
         return _event(cells), None
-    landmark = _id(cells, NO_ID) if cells['id'] else NO_ID
+    landmark = checked_landmark_id(int(cells['id'] or NO_ID), NO_ID)
     return _event(cells), Observation(landmark, *_point(cells))
 
 
@@ -232,14 +232,8 @@ def _true_pose(cells: Cells) -> TruePose:
 
 
 def _true_landmark(cells: Cells) -> tuple[int, Array]:
-    return _id(cells, 0), np.array(finite_numbers(cells, POINT[:2]))
-
-
-def _id(cells: Cells, least: int) -> int:
-    number = int(cells['id'] or '')
-    if not least <= number <= MAX_ID:
-        raise ValueError(f'id is {number} and not from {least} to {MAX_ID}')
-    return number
+    return (
+        checked_landmark_id(int(cells['id'] or '')), np.array(finite_numbers(cells, POINT[:2])))
 
 
 def _point(cells: Cells) -> tuple[Array, Array]:

@@ -33,10 +33,10 @@ def errors_name(path: Path) -> Iterator[None]:
         raise UserError(f'{path}: {error}; fetch the file again') from error
 
 
-def checked_landmark_id(number: int) -> int:
+def checked_landmark_id(number: int, least: int = 0) -> int:
     """Return a landmark ID; raise a `ValueError` if no bag can have it."""
-    if not 0 <= number <= MAX_ID:
-        raise ValueError(f'id is {number} and not from 0 to {MAX_ID}')
+    if not least <= number <= MAX_ID:
+        raise ValueError(f'id is {number} and not from {least} to {MAX_ID}')
     return number
 
 

@@ -35,7 +35,7 @@ def missed_motion(
     Return the motion from the start to the first odometry, or the reason why it is unknown.
 
     The motion u [m, m, rad] is in the frame of the base at the start. Systematic errors of
-    odometry are without_systematic_errors as of a straight path.
+    odometry are corrected as on a straight path.
 
     Parameters
     ----------

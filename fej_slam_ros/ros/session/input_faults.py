@@ -205,8 +205,8 @@ def _too_large(given: RobotInput) -> Iterator[Fault]:
             yield Fault(Level.ERROR, (
                 f'{given.robot} publishes {largest.points:,} points a scan'
                 f' ({largest.size:,} bytes) on {given.topic(kind)}, rejected as'
-                f' {RejectionReason.TOO_LARGE.value}: is this a raw cloud? Publish'
-                ' landmarks, or raise max_observations'))
+                f' {RejectionReason.TOO_LARGE.value}: is this a raw cloud? Publish landmarks, or'
+                ' raise max_observations'))
 
 
 def _too_frequent(given: RobotInput) -> Iterator[Fault]:
@@ -215,8 +215,8 @@ def _too_frequent(given: RobotInput) -> Iterator[Fault]:
         if rate > MAX_RATE:
             yield Fault(Level.ERROR, (
                 f'{given.robot} publishes at least {rate:,.0f} messages a second on'
-                f' {given.topic(kind)}: what is too much for this node is'
-                ' lost; publish at most 100'))
+                f' {given.topic(kind)}: what is too much for this node is lost; publish at most'
+                ' 100'))
 
 
 def _beyond_limits(given: RobotInput) -> Iterator[Fault]:

@@ -79,13 +79,18 @@ def exchanged(
     return published
 
 
+def feed(sessions, message):
+    """Give a message to the session of its robot."""
+    name = message.topic.lstrip('/').partition('/')[0]
+    if name in sessions:
+        list(sessions[name].receive(message))
+        list(sessions[name].take())
+
+
 def fed(sessions, messages, clock):
     """Give each session the messages of its robot, and time to exchange."""
     for k, message in enumerate(messages):
-        name = message.topic.lstrip('/').partition('/')[0]
-        if name in sessions:
-            list(sessions[name].receive(message))
-            list(sessions[name].take())
+        feed(sessions, message)
         if k % 50 == 0:
             exchanged(sessions, clock, 0.2)
 
@@ -175,10 +180,7 @@ def test_nothing_is_exchanged_with_a_former_peer_whose_measurements_stay(clock):
 def test_the_pose_of_the_map_of_the_other_is_published_before_any_of_its_map(clock):
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
     for message in messages():
-        name = message.topic.lstrip('/').partition('/')[0]
-        if name in sessions:
-            list(sessions[name].receive(message))
-            list(sessions[name].take())
+        feed(sessions, message)
 
     published = exchanged(sessions, clock, 6.0, is_over=lambda published: any(
         topic == 'q/base_node' for topic, _ in published))
@@ -197,10 +199,7 @@ def test_maps_are_aligned_after_a_packet_with_rendezvous_information_was_lost(cl
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
     # All own observations are known before the robots are in reach.
     for message in messages():
-        name = message.topic.lstrip('/').partition('/')[0]
-        if name in sessions:
-            list(sessions[name].receive(message))
-            list(sessions[name].take())
+        feed(sessions, message)
     for run in sessions.values():
         list(run.release())
     lost = set()
@@ -226,16 +225,14 @@ def test_an_observation_of_the_future_does_not_replace_a_rendezvous(clock):
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
     spoilt = set()
     for message in messages():
+        feed(sessions, message)
         name, _, kind = message.topic.lstrip('/').partition('/')
-        if name in sessions:
-            list(sessions[name].receive(message))
-            if kind == 'robots' and name not in spoilt:
-                cloud = deserialize(message.raw, message.type_name)
-                if cloud.width:
-                    cloud.header.stamp.sec += 1000
-                    spoilt.add(name)
-                    list(sessions[name].receive(replace(message, raw=serialize(cloud))))
-            list(sessions[name].take())
+        if kind == 'robots' and name not in spoilt:
+            cloud = deserialize(message.raw, message.type_name)
+            if cloud.width:
+                cloud.header.stamp.sec += 1000
+                spoilt.add(name)
+                feed(sessions, replace(message, raw=serialize(cloud)))
 
     exchanged(sessions, clock, 3.0)
 
