@@ -18,8 +18,7 @@ from scipy.linalg import block_diag
 from fej_slam_ros.core.chi_square import own_blocks, squared_distances
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import (
-    Failed, JoinRules, Measurements, outlier_report, Rendezvous, TEST_TOLERANCE,
-    without_few_outliers)
+    Failed, JoinRules, Measurements, outlier_report, Rendezvous, without_few_outliers)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -49,8 +48,7 @@ def close_loops(joint: JointMap, loops: Sequence[Rendezvous], rules: JoinRules) 
     left = list(_without_gross_outliers(closed, loops, rules))
     while left:
         try:
-            solved = with_measurements(joint, [m for _, own in left for m in own]).solved(
-                TEST_TOLERANCE)
+            solved = with_measurements(joint, [m for _, own in left for m in own]).solved()
         except NoMinimumError:
             return _one_by_one(closed, left, rules)
         failures = _contradictions(solved, left, rules)
@@ -136,7 +134,7 @@ def _one_by_one(
     """Close the loops one after another: together they are too far from a minimum."""
     for loop in loops:
         try:
-            solved = with_measurements(closed.joint, loop[1]).solved(TEST_TOLERANCE)
+            solved = with_measurements(closed.joint, loop[1]).solved()
         except NoMinimumError as error:
             closed.failed.append((loop, JoinFailure(f'cannot align: {error}')))
             continue

@@ -21,11 +21,11 @@ from fej_slam_ros.core.csam.base_node import (
     align, BaseNode, central, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.loop_closing import close_loops, with_measurements
-from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
+from fej_slam_ros.core.csam.maps import JointMap, merged
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_landmarks
 from fej_slam_ros.core.csam.rendezvous import (
     DEFAULT_RULES, Failed, JoinRules, Measurements, MIN_PER_OUTLIER, outlier_report, Rendezvous,
-    rendezvous_of, RendezvousMeasurement, RobotPair, TEST_TOLERANCE)
+    rendezvous_of, RendezvousMeasurement, RobotPair)
 from fej_slam_ros.core.csam.shared_landmarks import (
     align_by_landmarks, contradicting_landmarks, LandmarkAlignment, variance_factor)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
@@ -50,14 +50,14 @@ class JoinedMaps(NamedTuple):
 
 
 def join_maps(
-    maps: Sequence[LocalMap], measurements: Measurements, rules: JoinRules = DEFAULT_RULES
+    maps: Sequence[JointMap], measurements: Measurements, rules: JoinRules = DEFAULT_RULES
 ) -> JoinedMaps:
     """
     Return the maps after joining.
 
     Parameters
     ----------
-    maps : maps of all robots; a joint map has the frame of its first one
+    maps : minimum of each robot's own map; a joint map has the frame of its first one
     measurements : robot-to-robot observations in the order of time
     rules : conditions for joining
 
@@ -70,7 +70,7 @@ def join_maps(
         pooled.setdefault(pair, []).extend(rendezvous)
     failed = merger.apply([*pooled.items()])
     return JoinedMaps(
-        [match_landmarks(group.solved()) for group in merger.groups],
+        [*map(match_landmarks, merger.groups)],
         [*merger.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)],
         merger.landmark_outliers)
 
@@ -111,9 +111,9 @@ class _MapMerger:
     """
 
     def __init__(
-        self, maps: Sequence[LocalMap], measurements: Measurements, rules: JoinRules
+        self, maps: Sequence[JointMap], measurements: Measurements, rules: JoinRules
     ) -> None:
-        self.groups = [JointMap.of(local) for local in maps]
+        self.groups = [*maps]
         self.outliers: list[JoinFailure] = []
         self.landmark_outliers: defaultdict[str, list[Outlier]] = defaultdict(list)
         self._poses = {
@@ -293,7 +293,7 @@ class _MapMerger:
     ) -> JointMap | JoinFailure:
         """Return the minimum of eq. (21) with further observations, if these fit the parts."""
         try:
-            solved = with_measurements(joint, measurements).solved(TEST_TOLERANCE)
+            solved = with_measurements(joint, measurements).solved()
         except NoMinimumError as error:
             return JoinFailure(f'cannot align: {error}')
         increase = solved.chi_square - sum(part.chi_square for part in parts)

@@ -20,8 +20,8 @@ from fej_slam_ros.core.geometry import (
     Array, compose, Indices, inverse, rotation, transform, transform_poses)
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import (
-    concatenated, Problem, shifted, TOLERANCE, Values)
+from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
+from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, shifted, Values
 from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Smallest variance between poses, relative to their own variances in the map, that is computed as
@@ -71,10 +71,15 @@ class JointMap:
             (local.robot,), local.problem, local.values, {local.robot: 0},
             {local.robot: local.values.poses[0]}, tuple((key,) for key in local.landmarks))
 
-    def solved(self, tolerance: float = TOLERANCE) -> 'JointMap':
-        """Return the map at the minimum, starting at its values; errors of `least_squares`."""
+    def solved(self, loss: CauchyLoss | None = None) -> 'JointMap':
+        """
+        Return the map at the minimum, starting at its values; errors of `least_squares`.
+
+        `loss` is the cost of landmark observations, None for squares.
+
+        """
         problem = self.problem
-        solution = least_squares.solve(problem, self.values, tolerance)
+        solution = least_squares.solve(problem, self.values, loss=loss)
         rows = problem.odometry.z.size + problem.landmarks.z.size + problem.rendezvous.z.size
         return replace(
             self, values=solution.values, chi_square=solution.cost, dof=rows - solution.unknowns)

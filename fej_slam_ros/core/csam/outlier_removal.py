@@ -15,11 +15,10 @@ from itertools import compress
 import numpy as np
 
 from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
-from fej_slam_ros.core.csam.maps import JointMap, LocalMap
+from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.least_squares import (
     concatenated, LandmarkFactors, rows_of, Values)
@@ -43,9 +42,9 @@ class Outlier:
     limit: float
 
 
-def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, list[Outlier]]:
+def without_outliers(own: JointMap, probability: float) -> tuple[JointMap, list[Outlier]]:
     """
-    Return a robot's map at the minimum without outliers, and the outliers.
+    Return a single robot's map at the minimum without outliers, and the outliers.
 
     `probability` is that of removing no correct observation of the map; 1.0 keeps all.
 
@@ -55,25 +54,25 @@ def without_outliers(local: LocalMap, probability: float) -> tuple[LocalMap, lis
         As of `least_squares`, also without the outliers that a robust cost shows.
 
     """
-    count = len(local.problem.landmarks.z)
+    count = len(own.problem.landmarks.z)
     limit = chi_square_quantile(2, probability ** (1.0 / max(count, 1)))
-    complete = _minimum(local)
+    complete = _minimum(own)
     if complete is not None and not _worst(complete, limit):
         return complete, []
     # Outliers also displace what is correct, most of all where they prevent a minimum.
-    robust = _minimum(local, ROBUST_LOSS) or _minimum(
-        replace(local, values=_by_odometry(local)), ROBUST_LOSS)
-    kept, outliers = (complete or local, []) if robust is None else _without(
+    robust = _minimum(own, ROBUST_LOSS) or _minimum(
+        replace(own, values=_by_odometry(own)), ROBUST_LOSS)
+    kept, outliers = (complete or own, []) if robust is None else _without(
         robust, _beyond(robust, limit), limit)
     for _ in range(MAX_ROUNDS):
-        kept = _solved(kept)
+        kept = kept.solved()
         worst = _worst(kept, limit)
         if not worst:
             break
         kept, others = _without(kept, worst, limit)
         outliers += others
     if len(outliers) > MAX_OUTLIER_FRACTION * count:
-        return complete or _solved(local), []
+        return complete or own.solved(), []
     return kept, outliers
 
 
@@ -107,23 +106,18 @@ def without_landmarks(
         landmarks=tuple(compress(joint.landmarks, is_kept))).solved(), outliers
 
 
-def _minimum(local: LocalMap, loss: CauchyLoss | None = None) -> LocalMap | None:
+def _minimum(own: JointMap, loss: CauchyLoss | None = None) -> JointMap | None:
     """Return a map at the minimum of a cost, None if it is not reached."""
     try:
-        return _solved(local, loss)
+        return own.solved(loss)
     except ConvergenceError:
         return None
 
 
-def _solved(local: LocalMap, loss: CauchyLoss | None = None) -> LocalMap:
-    return replace(
-        local, values=least_squares.solve(local.problem, local.values, loss=loss).values)
-
-
-def _by_odometry(local: LocalMap) -> Values:
+def _by_odometry(own: JointMap) -> Values:
     """Return poses by odometry alone, and landmarks as seen first, which no outlier displaces."""
-    poses, points = local.values.poses.copy(), local.values.points.copy()
-    odometry, seen = local.problem.odometry, local.problem.landmarks
+    poses, points = own.values.poses.copy(), own.values.points.copy()
+    odometry, seen = own.problem.odometry, own.problem.landmarks
     for begin, end, u in zip(odometry.pose.tolist(), odometry.target.tolist(), odometry.z):
         poses[end] = compose(poses[begin], u)
     landmarks, first = np.unique(seen.target, return_index=True)
@@ -133,28 +127,28 @@ def _by_odometry(local: LocalMap) -> Values:
 
 
 def _without(
-    local: LocalMap, removed: Mapping[int, float], limit: float
-) -> tuple[LocalMap, list[Outlier]]:
+    own: JointMap, removed: Mapping[int, float], limit: float
+) -> tuple[JointMap, list[Outlier]]:
     """Return a map without some rows of its landmark observations, given with their d2."""
-    factors = local.problem.landmarks
+    factors = own.problem.landmarks
     rows = np.delete(np.arange(len(factors.z)), list(removed))
-    kept = replace(local.problem, landmarks=rows_of(factors, rows))
-    return replace(local, problem=kept), [
-        Outlier(int(factors.pose[m]), local.landmarks[factors.target[m]], d2, limit)
+    kept = replace(own.problem, landmarks=rows_of(factors, rows))
+    return replace(own, problem=kept), [
+        Outlier(int(factors.pose[m]), own.landmarks[factors.target[m]][0], d2, limit)
         for m, d2 in removed.items()]
 
 
-def _beyond(local: LocalMap, limit: float) -> dict[int, float]:
+def _beyond(own: JointMap, limit: float) -> dict[int, float]:
     """Return the rows and d2 of all observations beyond a limit but the best of each landmark."""
-    factors, d2 = _distances(local)
+    factors, d2 = _distances(own)
     is_beyond = d2 > limit
     is_beyond[_worst_of_each(factors.target, -d2)] = False
     return {int(m): float(d2[m]) for m in np.flatnonzero(is_beyond)}
 
 
-def _worst(local: LocalMap, limit: float) -> dict[int, float]:
+def _worst(own: JointMap, limit: float) -> dict[int, float]:
     """Return the rows and d2 of the outliers that are removed at a time."""
-    factors, d2 = _distances(local)
+    factors, d2 = _distances(own)
     # An outlier worsens the fit of other observations, so that only the worst ones are certain:
     # those that fit worst of their pose and of their landmark, with a large d2.
     worst = np.intersect1d(
@@ -163,10 +157,10 @@ def _worst(local: LocalMap, limit: float) -> dict[int, float]:
     return {int(m): float(d2[m]) for m in worst if d2[m] > least}
 
 
-def _distances(local: LocalMap) -> tuple[LandmarkFactors, Array]:
+def _distances(own: JointMap) -> tuple[LandmarkFactors, Array]:
     """Return the landmark observations of a map and their squared Mahalanobis distances."""
-    factors = concatenated(local.problem.landmarks)
-    _, r = factors.linearize(local.values)
+    factors = concatenated(own.problem.landmarks)
+    _, r = factors.linearize(own.values)
     return factors, squared_distances(r, factors.R)
 
 

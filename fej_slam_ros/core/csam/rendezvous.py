@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from fej_slam_ros.core.chi_square import chi_square_quantile
-from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
@@ -17,10 +17,6 @@ from fej_slam_ros.core.records import NS, RendezvousKey
 MIN_PER_OUTLIER = 10
 #: Longest time [ns] without observations within one rendezvous.
 MAX_RENDEZVOUS_PAUSE = 20 * NS
-
-#: Largest increment of a coordinate [m, rad] at a minimum that is tested; those of the result are
-#: exact.
-TEST_TOLERANCE = 1e-4
 
 #: Names of two robots.
 RobotPair = tuple[str, str]
@@ -100,9 +96,14 @@ def outlier_report(pair: RobotPair, removed: int, count: int) -> JoinFailure:
     return JoinFailure(f'{removed} of {count} observations contradict the rest', pair)
 
 
-def rendezvous_of(maps: Sequence[LocalMap], measurements: Measurements) -> list[Rendezvous]:
-    """Return the rendezvous of each pair of robots, or an empty one if they share landmarks."""
-    names = [local.robot for local in maps]
+def rendezvous_of(maps: Sequence[JointMap], measurements: Measurements) -> list[Rendezvous]:
+    """
+    Return the rendezvous of each pair of robots, or an empty one if they share landmarks.
+
+    `maps` are those of single robots.
+
+    """
+    names = [own.robots[0] for own in maps]
     pairs: dict[RobotPair, list[list[RendezvousMeasurement]]] = {}
     for m in measurements:
         one, other = sorted((m.observer, m.observed), key=names.index)
@@ -112,5 +113,5 @@ def rendezvous_of(maps: Sequence[LocalMap], measurements: Measurements) -> list[
         sessions[-1].append(m)
     for p, q in combinations(maps, 2):
         if not set(p.landmarks).isdisjoint(q.landmarks):
-            pairs.setdefault((p.robot, q.robot), [[]])
+            pairs.setdefault((p.robots[0], q.robots[0]), [[]])
     return [(pair, session) for pair, sessions in pairs.items() for session in sessions]

@@ -98,20 +98,19 @@ def solve(task: SmoothingTask) -> TeamMap:
     """Return the joined maps of a team with all covariances."""
     unsolved: dict[str, str] = {}
     outliers: dict[str, Sequence[Outlier]] = {}
-    local_maps = []
+    own_maps: dict[str, JointMap] = {}
     for local in task.maps:
         try:
-            solved, outliers[local.robot] = without_outliers(local, task.gate_probability)
-            local_maps.append(solved)
+            own_maps[local.robot], outliers[local.robot] = without_outliers(
+                JointMap.unsolved(local), task.gate_probability)
         except NoMinimumError as error:  # noqa: PERF203
             unsolved[local.robot] = str(error)
-    names = [local.robot for local in local_maps]
-    measurements = [m for m in task.measurements if {m.observer, m.observed} <= {*names}]
+    measurements = [m for m in task.measurements if {m.observer, m.observed} <= own_maps.keys()]
     try:
-        joined = join_maps(local_maps, measurements, task.rules)
+        joined = join_maps([*own_maps.values()], measurements, task.rules)
     except NoMinimumError as error:
-        return TeamMap(unsolved=unsolved | dict.fromkeys(names, str(error)))
-    keys = {local.robot: local.landmarks for local in local_maps}
+        return TeamMap(unsolved=unsolved | dict.fromkeys(own_maps, str(error)))
+    keys = {local.robot: local.landmarks for local in task.maps}
     maps = []
     for robot, left_out in joined.outliers.items():
         outliers[robot] = [*outliers[robot], *left_out]

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.map_merging import join_maps
-from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.geometry import compose, inverse, transform, transform_poses
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -24,13 +24,17 @@ LOOP = [*CHAIN, *((2, 0, k) for k in range(7, 11))]
 PAIR = [(0, 1, k) for k in range(3, 8)]
 
 
+def joined_maps(maps, measurements):
+    return join_maps([*map(JointMap.of, maps)], measurements)
+
+
 def base_nodes(joint):
     return joint.base_nodes(joint.information())
 
 
 def joined(team):
     """Return the single map of a team after joining."""
-    (joint,), failed, _ = join_maps(team.maps, team.measurements)
+    (joint,), failed, _ = joined_maps(team.maps, team.measurements)
     assert failed == []
     return joint
 
@@ -82,7 +86,7 @@ def test_a_change_of_frame_changes_the_base_node_only():
     frame = np.array([300.0, -200.0, 2.5])
     moved = [team.maps[0], in_another_frame(team.maps[1], frame)]
 
-    (joint,), *_ = join_maps(moved, team.measurements)
+    (joint,), *_ = joined_maps(moved, team.measurements)
 
     expected = joined(team)
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
@@ -121,10 +125,10 @@ def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wr
     met = [(0, 1, k) for session in SESSIONS for k in session]
     team = Met(9, met, steps=66)
 
-    (joint,), failed, _ = join_maps(team.maps, lying(team, SESSIONS[wrong]))
+    (joint,), failed, _ = joined_maps(team.maps, lying(team, SESSIONS[wrong]))
 
     alone = [m for m in team.measurements if m.pose not in SESSIONS[wrong]]
-    (expected,), *_ = join_maps(team.maps, alone)
+    (expected,), *_ = joined_maps(team.maps, alone)
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
     assert [failure.robots for failure in failed] == [('r1', 'r2')]
     assert 'inconsistent' in failed[0].reason
@@ -134,10 +138,10 @@ def test_three_rendezvous_that_agree_outvote_two_earlier_ones_with_one_lie():
     starts = range(3, 153, 30)
     team = Met(9, [(0, 1, k) for start in starts for k in range(start, start + 6)], steps=130)
 
-    (joint,), failed, _ = join_maps(team.maps, lying(team, range(60)))
+    (joint,), failed, _ = joined_maps(team.maps, lying(team, range(60)))
 
     true = [m for m in team.measurements if m.pose > 60]
-    (expected,), *_ = join_maps(team.maps, true)
+    (expected,), *_ = joined_maps(team.maps, true)
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
     assert len(failed) > 0
 
@@ -150,7 +154,7 @@ def test_glimpses_that_align_nothing_take_no_part_in_the_vote():
         replace(m, stamp=m.stamp - 1000 * NS * (20 - m.pose)) if m.pose < 20 else m
         for m in lying(team, range(20, 30))]
 
-    (joint,), *_ = join_maps(team.maps, apart)
+    (joint,), *_ = joined_maps(team.maps, apart)
 
     base_node = true_base_node(team, 'r1', 'r2')
     assert_allclose(base_nodes(joint)['r2'].pose, base_node, atol=1.0)
@@ -161,23 +165,23 @@ def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps()
     met = [(0, 1, k) for session in SESSIONS[:2] for k in session]
     team = Met(9, met, steps=40)
 
-    (joint,), failed, _ = join_maps(team.maps, lying(team, SESSIONS[1]))
+    (joint,), failed, _ = joined_maps(team.maps, lying(team, SESSIONS[1]))
 
-    (expected,), *_ = join_maps(team.maps, [m for m in team.measurements if m.pose < 9])
+    (expected,), *_ = joined_maps(team.maps, [m for m in team.measurements if m.pose < 9])
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
     assert [failure.robots for failure in failed] == [('r1', 'r2')]
 
 
 def joined_robots(team):
     """Return the robots of each map after joining, and the failures."""
-    groups, failed, _ = join_maps(team.maps, team.measurements)
+    groups, failed, _ = joined_maps(team.maps, team.measurements)
     return [group.robots for group in groups], failed
 
 
 def test_robots_without_rendezvous_keep_their_maps():
     team = Met(6, [])
 
-    groups, failed, _ = join_maps(team.maps, [])
+    groups, failed, _ = joined_maps(team.maps, [])
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
     assert failed == []
@@ -211,11 +215,11 @@ def test_an_inconsistent_loop_closure_is_left_out():
         replace(m, z=m.z + np.array([2.0, 2.0])) if m.observer == 'r3' else m
         for m in team.measurements]
 
-    (joint,), failed, _ = join_maps(team.maps, wrong)
+    (joint,), failed, _ = joined_maps(team.maps, wrong)
 
     assert [failure.robots for failure in failed] == [('r1', 'r3')]
     assert failed[0].reason == 'inconsistent (2 of 4 observations contradict the map)'
-    (without,), *_ = join_maps(team.maps, team.measurements[:len(CHAIN)])
+    (without,), *_ = joined_maps(team.maps, team.measurements[:len(CHAIN)])
     assert_allclose(joint.values.poses, without.values.poses, atol=1e-8)
 
 
@@ -265,13 +269,13 @@ def test_a_landmark_from_misread_ids_only_is_left_out_of_the_map_with_fewer_obse
         observing(local, misread if local.robot == fewer else right,
                   {5: 2} if local.robot == fewer else {}) for local in team.maps]
 
-    (joint,), failed, outliers = join_maps(maps, [])
+    (joint,), failed, outliers = joined_maps(maps, [])
 
     assert failed == []
     assert [o.landmark for o in outliers[fewer]] == [('', 5)] * 2
     assert [o.pose for o in outliers[fewer]] == [0, 1]
     assert sum(map(len, outliers.values())) == 2
-    (expected,), *_ = join_maps([
+    (expected,), *_ = joined_maps([
         observing(local, [*right[:5], None, None] if local.robot == fewer else right, {})
         for local in team.maps], [])
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
@@ -284,7 +288,7 @@ def test_a_third_of_the_landmarks_cannot_be_outlying():
         observing(team.maps[0], [0, 1, 2, 3, 4, 5, None], {}),
         observing(team.maps[1], [0, 1, 2, 3, 5, None, 4], {4: 2, 5: 2})]
 
-    groups, failed, outliers = join_maps(maps, [])
+    groups, failed, outliers = joined_maps(maps, [])
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
     assert 'inconsistent' in failed[0].reason
@@ -320,7 +324,7 @@ def test_a_rendezvous_joins_maps_whose_shared_landmarks_do_not_determine_the_hea
         for k, (x, y) in enumerate(zip(*trajectories.values()))]
 
     (_, by_landmarks), (by_rendezvous,) = (
-        join_maps(maps, some)[0] for some in ([], measurements))
+        joined_maps(maps, some)[0] for some in ([], measurements))
 
     assert by_landmarks.robots == ('r2',)
     assert_allclose(base_nodes(by_rendezvous)['r2'].pose, starts['r2'], atol=1e-8)
@@ -335,7 +339,7 @@ def test_a_second_rendezvous_closes_a_loop():
     joint = joined(team)
 
     assert len(joint.problem.rendezvous.z) == len(met)
-    (once,), *_ = join_maps(team.maps, team.measurements[:len(first)])
+    (once,), *_ = joined_maps(team.maps, team.measurements[:len(first)])
     assert base_nodes(joint)['r2'].P[2, 2] < base_nodes(once)['r2'].P[2, 2]
 
 
@@ -346,7 +350,7 @@ def test_an_inconsistent_second_rendezvous_is_left_out():
         replace(m, z=m.z + np.array([1.0, 0.0])) if m.pose == 41 else m
         for m in team.measurements]
 
-    (joint,), failed, _ = join_maps(team.maps, wrong)
+    (joint,), failed, _ = joined_maps(team.maps, wrong)
 
     assert len(joint.problem.rendezvous.z) == 5
     assert [failure.robots for failure in failed] == [('r1', 'r2')]
@@ -366,12 +370,12 @@ def test_a_few_outliers_of_a_long_rendezvous_are_left_out_and_reported(wrong):
         replace(m, z=m.z + np.array([0.0, 1.5])) if k in wrong else m
         for k, m in enumerate(team.measurements)]
 
-    (joint,), notes, _ = join_maps(team.maps, measurements)
+    (joint,), notes, _ = joined_maps(team.maps, measurements)
 
     assert notes == [JoinFailure(
         f'{len(wrong)} of 40 observations contradict the rest', ('r1', 'r2'))]
     correct = [m for k, m in enumerate(team.measurements) if k not in wrong]
-    (expected,), *_ = join_maps(team.maps, correct)
+    (expected,), *_ = joined_maps(team.maps, correct)
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
 
 
@@ -380,7 +384,7 @@ def test_outliers_among_few_observations_cannot_be_identified():
     first, *others = team.measurements
     measurements = [replace(first, z=first.z + 1.0), *others]
 
-    groups, failed, _ = join_maps(team.maps, measurements)
+    groups, failed, _ = joined_maps(team.maps, measurements)
 
     assert len(groups) == 2
     assert len(failed) == 1

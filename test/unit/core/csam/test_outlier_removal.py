@@ -8,7 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import without_outliers
 from fej_slam_ros.core.geometry import between, compose, transform
 from fej_slam_ros.core.smoothing.least_squares import (
@@ -29,7 +29,7 @@ def local_map(seed, wrong=(), by=(0.0, 5.0)):
 def test_correct_observations_are_all_kept(seed):
     local = local_map(seed)
 
-    kept, outliers = without_outliers(local, 0.999)
+    kept, outliers = without_outliers(JointMap.unsolved(local), 0.999)
 
     assert outliers == []
     expected = solve(local.problem, local.values).values
@@ -41,7 +41,7 @@ def test_the_map_equals_that_of_the_correct_observations(wrong):
     local = local_map(6, wrong)
     factors = local.problem.landmarks
 
-    kept, outliers = without_outliers(local, 0.999)
+    kept, outliers = without_outliers(JointMap.unsolved(local), 0.999)
 
     assert sorted((o.pose, o.landmark) for o in outliers) == sorted(
         (int(factors.pose[m]), local.landmarks[factors.target[m]]) for m in wrong)
@@ -57,7 +57,7 @@ def test_the_map_equals_that_of_the_correct_observations(wrong):
 
 
 def test_probability_one_keeps_all_observations():
-    _, outliers = without_outliers(local_map(7, [40]), 1.0)
+    _, outliers = without_outliers(JointMap.unsolved(local_map(7, [40])), 1.0)
 
     assert outliers == []
 
@@ -69,7 +69,7 @@ def test_understated_noise_keeps_all_observations():
     problem = replace(local.problem, landmarks=replace(factors, z=noisy))
     understated = replace(local, problem=problem)
 
-    kept, outliers = without_outliers(understated, 0.999)
+    kept, outliers = without_outliers(JointMap.unsolved(understated), 0.999)
 
     assert outliers == []
     assert len(kept.problem.landmarks.z) == len(factors.z)
@@ -109,7 +109,7 @@ def misread_map(seed):
 def test_misread_ids_are_found_where_squares_have_no_minimum(seed):
     local, misread = misread_map(seed)
 
-    _, outliers = without_outliers(local, 0.999)
+    _, outliers = without_outliers(JointMap.unsolved(local), 0.999)
 
     found = {outlier.pose for outlier in outliers}
     # Two landmarks may be at one place, or one of an outlier and a correct observation be alone.

@@ -292,10 +292,10 @@ def test_an_unsolved_map_is_kept_and_the_others_are_solved(monkeypatch):
     task = smoother.task()
     broken = task.maps[1].problem
 
-    def minimum_or_fail(local, probability):
-        if local.problem is broken:
+    def minimum_or_fail(own, probability):
+        if own.problem is broken:
             raise ConvergenceError('no minimum')
-        return without_outliers(local, probability)
+        return without_outliers(own, probability)
 
     monkeypatch.setattr(team_solution, 'without_outliers', minimum_or_fail)
     smoother.adopt(solve(task))
