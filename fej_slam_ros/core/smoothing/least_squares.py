@@ -105,7 +105,7 @@ class RendezvousFactors(Factors):
 TOLERANCE = 1e-9
 #: Largest increment [m, rad] after which the factor of A^T A is used again, and its largest ratio
 #: to the one before, if that was found with the same factor: otherwise it converges too slowly.
-MAX_REUSE_STEP, MAX_REUSE_RATIO = 1e-3, 0.1
+MAX_REUSE_STEP, MAX_REUSE_RATIO = 1e-3, 0.2
 #: A kind of factors, and pose, target, z and R of one of them.
 FactorsT = TypeVar('FactorsT', bound=Factors)
 Row = tuple[int, int, Array, Array]
