@@ -167,7 +167,7 @@ def parameters_page() -> str:
     """Return parameters.md."""
     qos = [(f'`{policy}`', *_typed(kind)) for policy, kind in QOS_POLICIES.items()]
     smoother, estimator = (
-        known_parameters(audience=of) for of in (SMOOTHER, ESTIMATOR))
+        known_parameters(audience=audience) for audience in (SMOOTHER, ESTIMATOR))
     only_estimator = {name: p for name, p in estimator.items() if name not in smoother}
     of_node = declared_parameters(NodeSettings).keys()
     return f"""# Parameters
@@ -455,13 +455,13 @@ def _pose() -> Message:
 
 def _byte_rows() -> Iterator[Sequence[str]]:
     yield '`<robot>/odom`', str(_size(_odometry()))
-    for name, made in (
+    for name, message_of in (
         ('`<robot>/landmarks`, `<robot>/robots`, all fields', _scan),
         ('the same with `x`, `y` as float32 and `id` only', _least_scan),
         ('`~/landmarks`, `<robot>/map_landmarks`', _map),
     ):
-        each = made(1).point_step
-        yield name, f'{_size(made(10)) - 10 * each} + {each} n'
+        each = message_of(1).point_step
+        yield name, f'{_size(message_of(10)) - 10 * each} + {each} n'
     yield '`<robot>/pose`', str(_size(_pose()))
 
 

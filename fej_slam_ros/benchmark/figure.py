@@ -39,7 +39,7 @@ def draw(file: BinaryIO, machine: Machine, results: Mapping[str, Sequence[Any]])
     panels_of: dict[str, Callable[[Sequence[Any]], Panel]] = {
         'steps': lambda steps: _steps(machine, steps), 'peers': _peers, 'growth': _growth,
         'messages': _messages, 'soak': _soak}
-    panels = [of(results[name]) for name, of in panels_of.items() if name in results]
+    panels = [panel_of(results[name]) for name, panel_of in panels_of.items() if name in results]
     figure = Figure(figsize=(7.0, 4.4 * len(panels)), layout='constrained')
     for axes, panel in zip(figure.subplots(len(panels), squeeze=False)[:, 0], panels):
         _draw(axes, panel)
@@ -87,12 +87,15 @@ def _growth(times: Sequence[GrowthTime]) -> Panel:
 
 def _messages(budgets: Sequence[MessageBudget]) -> Panel:
     """Return the largest map of each team."""
-    teams = {of.robots: of for of in budgets}.values()
+    teams = {budget.robots: budget for budget in budgets}.values()
     return Panel('A message from its bytes to the pose', 'robots n', {
         'odometry': _curve([
-            (of.robots, of.odometry + of.order + of.odometry_step + of.publish) for of in teams]),
+            (budget.robots, (
+                budget.odometry + budget.order + budget.odometry_step + budget.publish))
+            for budget in teams]),
         'scan of ten observations': _curve([
-            (of.robots, of.scan + of.order + of.scan_step + of.publish) for of in teams])})
+            (budget.robots, budget.scan + budget.order + budget.scan_step + budget.publish)
+            for budget in teams])})
 
 
 def _soak(minutes: Sequence[SoakMinute]) -> Panel:

@@ -78,12 +78,12 @@ class Mrpt:
         self, before: bytes, observations: Sequence[tuple[int, float, float]]
     ) -> Any:
         """Send what comes before the observations, and these; return the reply."""
-        to, back = self._process.stdin, self._process.stdout
-        assert to is not None and back is not None  # noqa: S101, PT018 - both are pipes
-        to.write(before + np.array(len(observations), '<i8').tobytes()
-                 + np.array(observations, OBSERVATION).tobytes())
-        to.flush()
-        data = back.read(REPLY.itemsize)
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None and stdout is not None  # noqa: S101, PT018 - both are pipes
+        stdin.write(before + np.array(len(observations), '<i8').tobytes()
+                    + np.array(observations, OBSERVATION).tobytes())
+        stdin.flush()
+        data = stdout.read(REPLY.itemsize)
         if len(data) < REPLY.itemsize:
             raise UserError(f'MRPT ended with status {self._process.wait()}')
         (reply,) = np.frombuffer(data, REPLY)

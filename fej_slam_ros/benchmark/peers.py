@@ -113,8 +113,8 @@ def race(
 ) -> list[PeerTime]:
     """Let all peers make the same steps, together and alone; return their times and errors."""
     def run(names: Iterable[str]) -> tuple[dict[str, list[float]], dict[str, Array]]:
-        made = {name: peers[name]() for name in names}
-        return run_race(made, measured.starts, measured.steps, measured.poses)
+        instances = {name: peers[name]() for name in names}
+        return run_race(instances, measured.starts, measured.steps, measured.poses)
 
     seconds, errors = run(peers)
     alone = {name: run([name])[0][name] for name in peers}
@@ -161,4 +161,4 @@ def run_race(
             elapsed = perf_counter() - begin
             seconds[name].append(peer.seconds if isinstance(peer, SelfTimed) else elapsed)
             poses[name].append([estimates[robot][0] for robot in starts])
-    return seconds, {name: np.array(of) - truth for name, of in poses.items()}
+    return seconds, {name: np.array(peer_poses) - truth for name, peer_poses in poses.items()}

@@ -151,9 +151,10 @@ def soak_table(minutes: Sequence[SoakMinute]) -> str:
 def budget_table(budgets: Sequence[MessageBudget]) -> str:
     """Return the parts of the way of a message."""
     return text_table(BUDGET_HEAD, [
-        (str(of.robots), str(of.states), *(f'{1e6 * t:.0f}' for t in (
-            of.odometry, of.scan, of.order, of.odometry_step, of.scan_step, of.publish)),
-         f'{100.0 * of.cpu:.0f} %') for of in budgets])
+        (str(budget.robots), str(budget.states), *(f'{1e6 * t:.0f}' for t in (
+            budget.odometry, budget.scan, budget.order, budget.odometry_step, budget.scan_step,
+            budget.publish)),
+         f'{100.0 * budget.cpu:.0f} %') for budget in budgets])
 
 
 def live_table(times: Sequence[LiveTime]) -> str:

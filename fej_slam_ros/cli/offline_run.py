@@ -166,7 +166,7 @@ def _check(arguments: argparse.Namespace, output_bag: Path) -> None:
 def _draw(folder: Path) -> None:
     """Draw the estimates in ``map`` that a folder of results has."""
     result = run_results.read_folder(folder)
-    in_map = [name for name, of in result.trajectories.items() if of.frame == MAP]
+    in_map = [name for name, trajectory in result.trajectories.items() if trajectory.frame == MAP]
     write_figure(
         folder / PICTURE, draw_run, f'{folder.resolve().name}: estimates with 3-sigma ellipses',
         result, in_map, {}, [])

@@ -27,6 +27,6 @@ def draw_run(
 
     trajectories = {name: result.trajectories[name] for name in robots}
     draw_scene(
-        file, title, {name: of.poses for name, of in trajectories.items()},
-        {name: of.P for name, of in trajectories.items()}, result.landmarks.points,
+        file, title, {name: trajectory.poses for name, trajectory in trajectories.items()},
+        {name: trajectory.P for name, trajectory in trajectories.items()}, result.landmarks.points,
         result.landmarks.P, true_poses, np.array([*true_landmarks]).reshape(-1, 2), draw_world)

@@ -24,7 +24,8 @@ def arc_poses(lengths: Array, turns: Array) -> Array:
     """Return the poses (n + 1, 3) along n arcs by their lengths [m] and turns [rad], from zero."""
     headings = np.append(0.0, np.cumsum(turns))
     chords, directions = lengths * np.sinc(turns / math.tau), headings[:-1] + turns / 2.0
-    x, y = (np.append(0.0, np.cumsum(chords * of(directions))) for of in (np.cos, np.sin))
+    x, y = (
+        np.append(0.0, np.cumsum(chords * function(directions))) for function in (np.cos, np.sin))
     return np.column_stack([x, y, wrap_all(headings)])
 
 

@@ -168,7 +168,7 @@ class _Encoder:
         self._numbers[id(value)] = len(self._numbers)
         name = _listed_name(type(value))
         attributes = (
-            [of.name for of in fields(value)] if is_dataclass(value) else
+            [field.name for field in fields(value)] if is_dataclass(value) else
             getattr(type(value), '__slots__', None) or vars(value))
         return {'object': [name, {a: self.plain(getattr(value, a)) for a in attributes}]}
 

@@ -176,7 +176,7 @@ class TeamJoiner:
         """Join another group to a group; on failure, remove what contradicts the rest."""
         failure = self._joiner.join(group.filter, other.filter)
         if failure is not None and not failure.has_outliers() and all(
-                any_without_id(of.state) for of in (group, other)):
+                any_without_id(frame_group.state) for frame_group in (group, other)):
             failure = self._join_by_constellation(group, other)
         if failure is None:
             self._groups.merge(group, other)

@@ -165,12 +165,14 @@ def _regular(information: Array) -> Array:
 
 
 def _normal(
-    of: _Linearized, range_sigma: float, edge_weight: Array
+    problem: _Linearized, range_sigma: float, edge_weight: Array
 ) -> tuple[Array, Array, Array]:
     """Return the information (m, 3, 3), gradient (m, 3) and chi-square (m,)."""
-    w = of.is_used / range_sigma**2
-    wH, wH_edge = w[:, :, None] * of.H, edge_weight[:, :, None] * of.H_edge
-    information = of.H.transpose(0, 2, 1) @ wH + of.H_edge.transpose(0, 2, 1) @ wH_edge
-    gradient = np.einsum('mnk,mn->mk', wH, of.r) + np.einsum('mnk,mn->mk', wH_edge, of.r_edge)
-    chi_square = np.sum(w * of.r**2, 1) + np.sum(edge_weight * of.r_edge**2, 1)
+    w = problem.is_used / range_sigma**2
+    wH, wH_edge = w[:, :, None] * problem.H, edge_weight[:, :, None] * problem.H_edge
+    information = problem.H.transpose(0, 2, 1) @ wH + problem.H_edge.transpose(0, 2, 1) @ wH_edge
+    gradient = (
+        np.einsum('mnk,mn->mk', wH, problem.r)
+        + np.einsum('mnk,mn->mk', wH_edge, problem.r_edge))
+    chi_square = np.sum(w * problem.r**2, 1) + np.sum(edge_weight * problem.r_edge**2, 1)
     return information, gradient, chi_square

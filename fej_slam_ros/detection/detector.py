@@ -173,17 +173,17 @@ class Detector:
         static = seen.select(is_static[is_seen], RejectedSegment.NOT_STATIC)
         return static.select(~is_thin[is_seen & is_static], RejectedSegment.FEW_BEAMS)
 
-    def _corrected(self, of: StampedScan, u: Array, Q: Array) -> Detections:
+    def _corrected(self, stamped_scan: StampedScan, u: Array, Q: Array) -> Detections:
         """
         Return the landmarks as seen from the pose at the end of a scan.
 
         Parameters
         ----------
-        of : the scan
+        stamped_scan : the scan with its stamp
         u, Q : motion (3,) that leads back from its end to its begin, and its covariance (3, 3)
 
         """
-        scan, last = of.scan, len(of.scan.ranges) - 1
+        scan, last = stamped_scan.scan, len(stamped_scan.scan.ranges) - 1
         if scan.duration == 0:
             return self._detect(scan)
         # A beam points where the heading at its own time turns it.

@@ -77,7 +77,7 @@ class ReflectorDetector:
         variance = self.range_sigma**2 / count + DEPTH_VARIANCE * (self.radius / count) ** 2
         # Each edge is anywhere between two beams.
         sigma_theta = beams.increment / math.sqrt(24.0)
-        observed = [polar(*of, sigma_theta) for of in zip(D, theta, np.sqrt(variance))]
+        observed = [polar(*values, sigma_theta) for values in zip(D, theta, np.sqrt(variance))]
         return Detections(
             np.array([z for z, _ in observed]), np.array([R for _, R in observed]),
             np.full(len(D), self.radius),

@@ -92,12 +92,13 @@ def fit_to_truth(
         return None
     firsts, lasts = np.array(stamps, np.int64).T
     (_, before), (_, after) = (
-        truth.find_all(odometry[0].robot, of.tolist()) for of in (firsts, lasts))
+        truth.find_all(odometry[0].robot, times.tolist()) for times in (firsts, lasts))
     true = _motions(before, after)
 
     def errors(values: Array) -> Array:
         moved = corrected_trajectory(known, poses, values)
-        e = pose_error(true, _motions(*(poses_at(of, known, moved) for of in (firsts, lasts))))
+        e = pose_error(true, _motions(*(
+            poses_at(times, known, moved) for times in (firsts, lasts))))
         # In the measure of odometry: its noise would otherwise be least with the scale 0.
         scaled: Array = e / values[[0, 0, 1]]
         return scaled
@@ -233,6 +234,6 @@ def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
         x[free] = fit.x
         information[np.ix_(free, free)] = fit.jac.T @ fit.jac
         # SciPy scales J by (1 + r^2)^(-3/4), and the gradient of soft_l1 has (1 + r^2)^(-1/2).
-        r, J = (of[:len(gradients)] for of in (fit.fun, fit.jac))
+        r, J = (rows[:len(gradients)] for rows in (fit.fun, fit.jac))
         gradients[:, free] = (r * (1.0 + r ** 2) ** 0.25)[:, None] * J
     return _Fit(x, information, gradients)

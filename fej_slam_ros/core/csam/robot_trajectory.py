@@ -161,8 +161,8 @@ class RobotTrajectory:
         lost, known = self._lost, self._smoother
         shared = [id_ for id_ in lost.landmark_index if id_ in known.landmark_index]
         a, b = (
-            of.values().points[[of.landmark_index[id_] for id_ in shared]]
-            for of in (lost, known))
+            smoother.values().points[[smoother.landmark_index[id_] for id_ in shared]]
+            for smoother in (lost, known))
         g = rigid_fit(a, b)
         if np.std(transform(g, a) - b) > MAX_MISFIT * np.std(b - b.mean(axis=0)):
             return

@@ -79,8 +79,8 @@ def contradicting_landmarks(
     index_p, index_q = p.landmark_index(), q.landmark_index()
     shared = sorted(index_p.keys() & index_q.keys())
     points_p, points_q = (
-        of.values.points[[index[key] for key in shared]]
-        for of, index in ((p, index_p), (q, index_q)))
+        joint_map.values.points[[index[key] for key in shared]]
+        for joint_map, index in ((p, index_p), (q, index_q)))
     candidates = {shared[k]: k for k in farthest_points(points_p, points_q)}
     aligned = align_by_landmarks(p, q, rules.min_shared, candidates)
     if not candidates or isinstance(aligned, JoinFailure) or rules.inconsistency(
@@ -92,8 +92,8 @@ def contradicting_landmarks(
         moved = transform(aligned.base_node, points_q[k])
         J = models.F(moved - aligned.base_node[:2])
         P_p, P_q = (
-            of.information().joint(points=[index[key]])
-            for of, index in ((p, index_p), (q, index_q)))
+            joint_map.information().joint(points=[index[key]])
+            for joint_map, index in ((p, index_p), (q, index_q)))
         r = points_p[k] - moved
         d2[key] = float(r @ np.linalg.solve(P_p + C @ P_q @ C.T + J @ aligned.P @ J.T, r))
     return {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
@@ -115,13 +115,14 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
         (pair, align_by_landmarks(maps[pair[0]], maps[pair[1]], min_shared))
         for pair in _pairs(len(maps)))
     found = [*islice(
-        ((pair, of) for pair, of in aligned if isinstance(of, LandmarkAlignment)), MAX_MAP_PAIRS)]
+        ((pair, alignment) for pair, alignment in aligned
+         if isinstance(alignment, LandmarkAlignment)), MAX_MAP_PAIRS)]
     if len(found) < MIN_MAP_PAIRS:
         return 1.0
     factors: defaultdict[int, list[float]] = defaultdict(list)
-    for pair, of in found:
+    for pair, alignment in found:
         for k in pair:
-            factors[k].append(of.chi_square / of.dof)
+            factors[k].append(alignment.chi_square / alignment.dof)
     # With three robots, a wrong map is in two of three pairs, but only its own robot has no other.
     return max(1.0, median_low(map(median_low, factors.values())))
 

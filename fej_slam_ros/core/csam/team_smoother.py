@@ -216,7 +216,9 @@ class TeamSmoother:
             if not self.solution.has_joined(failure.robots):
                 reasons |= dict.fromkeys(failure.robots, failure.reason)
         reasons |= self.solution.unsolved
-        lost = {name: of.why_lost() for name, of in self.trajectories.items() if of.is_lost}
+        lost = {
+            name: trajectory.why_lost() for name, trajectory in self.trajectories.items()
+            if trajectory.is_lost}
         return {
             name: reason for name, reason in (reasons | lost).items() if name in lost
             or name not in self.trajectories or self.trajectories[name].frame != MAP}

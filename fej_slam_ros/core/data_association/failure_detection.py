@@ -238,7 +238,7 @@ def _pose_is_confirmed(
 
     """
     right, wrong = (
-        sum(by is robot and other is not landmark and other.created <= landmark.last_accepted
-            for by, other in some)
+        sum(observer is robot and other is not landmark and other.created <= landmark.last_accepted
+            for observer, other in some)
         for some in (passed, rejected))
     return right + wrong >= MIN_OTHERS and right > wrong

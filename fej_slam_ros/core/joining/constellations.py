@@ -160,7 +160,7 @@ def _hypotheses(
 def _verified(ours: _Map, theirs: _Map, g: Array) -> _Hypothesis:
     """Return the landmarks of which each is the nearest to the other, and inside the gate."""
     n, m, C = len(ours.landmarks), len(theirs.landmarks), rotation(g[2])
-    own, own_theirs = (np.einsum('iiab->iab', of.P) for of in (ours, theirs))
+    own, own_theirs = (np.einsum('iiab->iab', map_.P) for map_ in (ours, theirs))
     S = own[:, None] + C @ own_theirs @ C.T
     r = ours.points[:, None] - transform(g, theirs.points)
     d2 = squared_distances(r.reshape(-1, 2), S.reshape(-1, 2, 2)).reshape(n, m)

@@ -159,10 +159,12 @@ class MapJoiner:
         return found if accepted else None
 
 
-def _from_first_robot(of: Filter) -> JointState:
+def _from_first_robot(filter_: Filter) -> JointState:
     """Return the state in the frame of its first robot, if any: the origin may be far away."""
-    robot = next(iter(of.state.robots.values()), None)
-    return of.state if robot is None else in_frame_of(of.state, robot, of.linearization)
+    robot = next(iter(filter_.state.robots.values()), None)
+    if robot is None:
+        return filter_.state
+    return in_frame_of(filter_.state, robot, filter_.linearization)
 
 
 def joined_state(

@@ -37,10 +37,10 @@ def outlying_landmarks(
     The others must fit with the given upper tail probability of chi-square.
 
     """
-    ours, theirs = ([v for v in of if isinstance(v, Landmark)]
-                    for of in shared_variables(team, group))
-    points = (state.estimates_of(indices(of)).reshape(-1, 2)
-              for state, of in ((team, ours), (group, theirs)))
+    ours, theirs = ([v for v in variables if isinstance(v, Landmark)]
+                    for variables in shared_variables(team, group))
+    points = (state.estimates_of(indices(landmarks)).reshape(-1, 2)
+              for state, landmarks in ((team, ours), (group, theirs)))
     farthest = farthest_points(*points)
     candidates = frozenset(ours[k].key for k in farthest)
     if not candidates or not determine_heading(team, group, candidates):

@@ -311,7 +311,7 @@ class Sequencer:
         odometry = {name: queue.odometry.pose for name, queue in present.items()}
         return Step(
             stamp, tuple(arrivals), tuple(motions), _of_kind(Scan, taken), odometry,
-            tuple([self._without_absent(present, of) for of in _of_kind(RobotScan, taken)]))
+            tuple([self._without_absent(present, scan) for scan in _of_kind(RobotScan, taken)]))
 
     def _without_absent(self, present: Container[str], scan: RobotScan) -> RobotScan:
         """Return a scan without observations of absent robots, which are rejected."""
@@ -340,7 +340,7 @@ class Sequencer:
 
 def _of_kind(kind: type[ScanT], taken: Iterable[Sequence[AnyScan]]) -> tuple[ScanT, ...]:
     """Return the scans of a kind among those of each robot at one stamp, one for each robot."""
-    of_robots = ([scan for scan in of if isinstance(scan, kind)] for of in taken)
+    of_robots = ([scan for scan in scans if isinstance(scan, kind)] for scans in taken)
     return tuple([merged(scans) for scans in of_robots if scans])
 
 
@@ -354,5 +354,6 @@ def _of_step(
         if isinstance(scan, RobotScan) and queue.can_be_at(key)
         for observation in scan.observations}
     if observed:
-        return [of for of in queues if of.next_key == key or of.name in observed], observed
+        return [
+            queue for queue in queues if queue.next_key == key or queue.name in observed], observed
     return at_key, observed

@@ -47,7 +47,7 @@ class RestOfRobotScan(RobotScan):
 _WITHOUT_COVARIANCE, _WITH_COVARIANCE = 0, 1
 _SCANS = {2: Scan, 4: RestOfScan}
 _ROBOT_SCANS = {3: RobotScan, 5: RestOfRobotScan}
-_KIND_OF = {of: kind for kind, of in (_SCANS | _ROBOT_SCANS).items()}
+_KIND_OF = {record_type: kind for kind, record_type in (_SCANS | _ROBOT_SCANS).items()}
 
 
 class BadBlockError(ValueError):
@@ -91,7 +91,7 @@ def decoded(block: bytes, robot: str) -> list[Measurement]:
         int(kinds.max()) <= max(_ROBOT_SCANS)
         and 0 <= int(stamps.min()) <= int(stamps.max()) <= MAX_STAMP))
     n = np.bincount(kinds, minlength=6).tolist()
-    scans, robot_scans = (sum(n[kind] for kind in of) for of in (_SCANS, _ROBOT_SCANS))
+    scans, robot_scans = (sum(n[kind] for kind in types) for types in (_SCANS, _ROBOT_SCANS))
     poses = columns.take('<f8', 3 * (n[0] + n[1])).reshape(-1, 3)
     Q = columns.take('<f8', 9 * n[_WITH_COVARIANCE]).reshape(-1, 3, 3)
     sizes = columns.take('<u4', scans + robot_scans).tolist()
@@ -106,8 +106,8 @@ def decoded(block: bytes, robot: str) -> list[Measurement]:
     names = _names(text)
     _require(max(indices, default=-1) < len(names))
     observations: Iterator[Any] = chain(
-        (Observation(*of) for of in zip(ids, z, R)),
-        (RobotObservation(names[k], *of) for k, *of in zip(indices, z[m:], R[m:])))
+        (Observation(*values) for values in zip(ids, z, R)),
+        (RobotObservation(names[k], *values) for k, *values in zip(indices, z[m:], R[m:])))
     by_scan = [tuple(islice(observations, size)) for size in sizes]
     return _records(
         robot, zip(kinds.tolist(), stamps.tolist()), iter(by_scan[:scans]), iter(by_scan[scans:]),
@@ -148,9 +148,9 @@ class _Columns:
         size = np.dtype(dtype).itemsize
         end = self._at + size * count
         _require(end <= len(self._content))
-        of = np.frombuffer(self._content[self._at:end], 'u1').reshape(size, count)
+        byte_rows = np.frombuffer(self._content[self._at:end], 'u1').reshape(size, count)
         self._at = end
-        column: NDArray[Any] = np.ascontiguousarray(of.T).view(dtype).ravel()
+        column: NDArray[Any] = np.ascontiguousarray(byte_rows.T).view(dtype).ravel()
         return column
 
     def end(self) -> None:

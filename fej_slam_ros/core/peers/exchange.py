@@ -185,10 +185,10 @@ class PeerExchange:
             peer.hello = hello.stamp, now
         _, heard = peer.hello
         team = {self.logs.robot, *self.peers}
-        of_team = {of.log: (heard, of) for of in hello.known if is_of(of.log, team)}
+        of_team = {entry.log: (heard, entry) for entry in hello.known if is_of(entry.log, team)}
         peer.known |= of_team
         # It may list logs of robots that are unknown here.
-        peer.others |= {of.log for of in hello.known if of.log not in of_team}
+        peer.others |= {entry.log for entry in hello.known if entry.log not in of_team}
         peer.logs = hello.logs - len(peer.others)
         if len(peer.others) > MAX_LOGS:
             peer.others.clear()

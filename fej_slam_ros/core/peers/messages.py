@@ -26,7 +26,8 @@ from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, R
 
 #: Number of the format, and the records that blocks contain.
 VERSION, RECORDS = 3, (Odometry, Scan, Observation, RobotScan, RobotObservation)
-_SCHEMA = zlib.crc32(repr([VERSION, *([of.name for of in fields(r)] for r in RECORDS)]).encode())
+_SCHEMA = zlib.crc32(
+    repr([VERSION, *([field.name for field in fields(r)] for r in RECORDS)]).encode())
 #: The first bytes of every message.
 TITLE = b'FEJ' + _SCHEMA.to_bytes(4, 'little')
 #: Largest size of a message [bytes]: with the headers of DDS and UDP it fits into 1,500 bytes.

@@ -54,10 +54,10 @@ class PeerSmoother(TeamSmoother):
     def __init__(
         self, settings: Settings, robot: str, logs: TeamLogs, solve_every: int = SOLVE_EVERY
     ) -> None:
-        own = tuple(of for of in settings.robots if of.name == robot)
+        own = tuple(member for member in settings.robots if member.name == robot)
         super().__init__(replace(settings, robots=own), solve_every)
         self.robot, self.logs = robot, logs
-        self.robots = {of.name: of for of in settings.robots}
+        self.robots = {member.name: member for member in settings.robots}
         self.meetings: dict[str, Meeting] = {}
         self.observed: Counter[str] = Counter()
         self._team_settings = settings
@@ -70,8 +70,8 @@ class PeerSmoother(TeamSmoother):
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """Change the robots of the team; measurements of former ones stay in the union."""
-        self.robots = {of.name: of for of in robots}
-        known = {of.name: of for of in self._team_settings.robots} | self.robots
+        self.robots = {robot.name: robot for robot in robots}
+        known = {robot.name: robot for robot in self._team_settings.robots} | self.robots
         self._team_settings = replace(self._team_settings, robots=tuple(known.values()))
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
@@ -103,7 +103,9 @@ class PeerSmoother(TeamSmoother):
         """Adopt a smoother of all that was known; later poses of the own robot follow from it."""
         own = self.trajectories.get(self.robot)
         self._union, self.solution = union, union.solution
-        others = {name: of for name, of in union.trajectories.items() if name != self.robot}
+        others = {
+            name: trajectory for name, trajectory in union.trajectories.items()
+            if name != self.robot}
         self.trajectories = ({} if own is None else {self.robot: own}) | others
         for solved in union.solution.maps:
             if own is not None and self.robot in solved.trajectories:
@@ -131,7 +133,8 @@ class PeerSmoother(TeamSmoother):
     def not_in_map(self) -> dict[str, str]:
         """Return the reason for each robot that is not in ``map``."""
         known = super().not_in_map() if self._union is None else self._union.not_in_map()
-        in_map = {name for name, of in self.trajectories.items() if of.frame == MAP}
+        in_map = {
+            name for name, trajectory in self.trajectories.items() if trajectory.frame == MAP}
         return {
             name: known.get(name, 'nothing has been received from it')
             for name in self.robots if name not in in_map}

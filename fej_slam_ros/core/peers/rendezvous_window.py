@@ -119,12 +119,12 @@ def meet(task: MeetingTask) -> Meeting | None:
     return Meeting(write(sent), alignment, theirs.stamps[newest], pose)
 
 
-def write(of: WindowInformation) -> bytes:
+def write(window: WindowInformation) -> bytes:
     """Return information as bytes; R_sqrt has single precision, which costs 1e-7 of a sigma."""
-    scans, information = encoded(of.scans), of.information
+    scans, information = encoded(window.scans), window.information
     return b''.join([
-        _HEADER.pack(len(of.stamps), information.middle, information.start, len(scans)),
-        np.array(of.stamps, '<i8').tobytes(), information.origin.astype('<f8').tobytes(),
+        _HEADER.pack(len(window.stamps), information.middle, information.start, len(scans)),
+        np.array(window.stamps, '<i8').tobytes(), information.origin.astype('<f8').tobytes(),
         information.poses.astype('<f8').tobytes(),
         information.R_sqrt[np.triu_indices(len(information.R_sqrt))].astype('<f4').tobytes(),
         scans])
@@ -206,7 +206,7 @@ def _aligned(own: WindowInformation, theirs: WindowInformation) -> Alignment | J
     seen = sorted(
         ((scan.stamp, by_own, o) for scans, by_own in ((own.scans, True), (theirs.scans, False))
          for scan in scans if scan.stamp in row and scan.stamp in their_row
-         for o in scan.observations), key=lambda of: of[:2])
+         for o in scan.observations), key=lambda entry: entry[:2])
     if not seen:
         return JoinFailure('neither robot has a pose at an observation of the other')
     observations = RendezvousObservations(

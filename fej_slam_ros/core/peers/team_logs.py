@@ -123,12 +123,12 @@ class TeamLogs:
         self._append_ahead(log)
         return True
 
-    def has_written(self, of: Knowledge) -> bool:
+    def has_written(self, knowledge: Knowledge) -> bool:
         """Return whether what another robot has of an own log is of this robot."""
         log = self.logs[LogName(self.robot)]
-        if of.run != log.run:
-            return of.run < log.run
-        return of.count <= len(log.blocks) and log.is_prefix(of)
+        if knowledge.run != log.run:
+            return knowledge.run < log.run
+        return knowledge.count <= len(log.blocks) and log.is_prefix(knowledge)
 
     def take_new_blocks(self) -> list[Block]:
         """Return the blocks that have become part of a log since the last call, in order."""
@@ -273,8 +273,8 @@ def _appended(records: list[Measurement], parts: Iterable[Measurement]) -> bool:
         if not isinstance(part, (RestOfScan, RestOfRobotScan)):
             records.append(part)
             continue
-        of = RobotScan if isinstance(part, RestOfRobotScan) else Scan
-        if not records or not isinstance(begun := records[-1], of):
+        kind = RobotScan if isinstance(part, RestOfRobotScan) else Scan
+        if not records or not isinstance(begun := records[-1], kind):
             return False
         whole: Any = (*begun.observations, *part.observations)
         records[-1] = replace(begun, observations=whole)
@@ -283,7 +283,8 @@ def _appended(records: list[Measurement], parts: Iterable[Measurement]) -> bool:
 
 def noise_of(robot: NoiseSettings) -> NoiseSettings:
     """Return the noise of a robot without its other settings."""
-    return NoiseSettings(**{of.name: getattr(robot, of.name) for of in fields(NoiseSettings)})
+    return NoiseSettings(**{
+        field.name: getattr(robot, field.name) for field in fields(NoiseSettings)})
 
 
 def _noise_block(noise: NoiseSettings) -> bytes:

@@ -34,8 +34,8 @@ class UnionTask:
 def smoothed_union(task: UnionTask) -> TeamSmoother:
     """Return the smoother of all measurements, with their solution."""
     logs = (
-        sorted(_measurements(of, task.until.get(robot)), key=_stamp)
-        for robot, of in sorted(task.logs.items()))
+        sorted(_measurements(log, task.until.get(robot)), key=_stamp)
+        for robot, log in sorted(task.logs.items()))
     team = unsolved(team_settings(task), merge(*logs, key=_stamp), task.solve_every)
     team.adopt(solve(team.task()))
     return team

@@ -108,7 +108,7 @@ class NewestPose:
     def points(self) -> dict[int, Array]:
         """Return the position (2,) of each landmark that the filter has, by ID."""
         state = self._filter.state
-        return {id_: state.estimate(of) for (_, id_), of in state.landmarks.items()}
+        return {id_: state.estimate(landmark) for (_, id_), landmark in state.landmarks.items()}
 
     def add(self, u: Array, Q: Array, observations: Sequence[Observation]) -> None:
         """Move by u (3,) with covariance Q (3, 3); use the observations from the new pose."""
@@ -144,8 +144,8 @@ def _filter(pose: Array, ids: Sequence[int], points: Array, near: NearMarginal) 
     covariance = Covariance()
     slot, *slots = covariance.insert(near.P).split([3] + [2] * len(near.landmarks))
     landmarks = [
-        Landmark(('', ids[k]), of, FILTER_ROBOT, 0)
-        for k, of in zip(near.landmarks.tolist(), slots)]
+        Landmark(('', ids[k]), landmark_slot, FILTER_ROBOT, 0)
+        for k, landmark_slot in zip(near.landmarks.tolist(), slots)]
     x = np.concatenate([pose, points[near.landmarks].ravel()])
     state = JointState([Robot(FILTER_ROBOT, slot, 0), *landmarks], x, x.copy(), covariance)
     return Filter(state, Invariant(), Gate(1.0), iterations=UPDATE_ITERATIONS)

@@ -24,11 +24,11 @@ class ClockPart:
     #: Stamps of the first commands after another clock: the time before these is not known well
     joints: tuple[int, ...] = ()
 
-    def shifted(self, by: int) -> 'ClockPart':
+    def shifted(self, shift: int) -> 'ClockPart':
         """Return the rows with stamps on another clock [ns]."""
         return ClockPart(
-            self.commands.shifted(by), self.observations.shifted(by),
-            tuple(stamp + by for stamp in self.joints))
+            self.commands.shifted(shift), self.observations.shifted(shift),
+            tuple(stamp + shift for stamp in self.joints))
 
     def is_next_to(self, other: 'ClockPart') -> bool:
         """Return whether all commands of one are soon after those of the other."""

@@ -142,7 +142,8 @@ def _landmark_differences(
     after = later.observations.between(end, end + COMPARED_TIME)
     commands = joined([earlier.commands, later.commands])
     last = {int(subject): k for k, subject in enumerate(before.rows[:, 0])}
-    points_before, points_after = (positions(commands, of) for of in (before, after))
+    points_before, points_after = (
+        positions(commands, observations) for observations in (before, after))
     differences = {}
     for row, subject in enumerate(after.rows[:, 0].astype(int).tolist()):
         if subject not in moving and subject in last and subject not in differences:
@@ -167,13 +168,13 @@ def _on_one_clock(
     first, *others = parts
     drives = [
         first.shifted(int(-shift)).with_rows_of(
-            *(part.shifted(int(by)) for part, by in zip(others, shifts[1:] - shift)))
+            *(part.shifted(int(offset)) for part, offset in zip(others, shifts[1:] - shift)))
         for shift in shifts]
     errors = evidence.errors(drives)
     chosen = int(np.argmin([-len(part.commands) for part in parts] if errors is None else errors))
     which = 'set back' if errors is not None else 'set back, nothing tells which was right'
-    for part, by in zip(parts, shifts - shifts[chosen]):
-        if by:
+    for part, offset in zip(parts, shifts - shifts[chosen]):
+        if offset:
             rows = len(part.commands) + len(part.observations)
-            counts[f'row shifted by {by / NS:+.3f} s (its clock was {which})'] += rows
+            counts[f'row shifted by {offset / NS:+.3f} s (its clock was {which})'] += rows
     return drives[chosen]

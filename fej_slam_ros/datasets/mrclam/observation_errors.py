@@ -166,7 +166,7 @@ def _near_true_poses(
     known = (gaps.min(axis=1) <= NEAR_TRUTH) & (
         np.minimum(begins, stamps) >= odometry_stamps[0]) & (
         np.maximum(begins, stamps) <= odometry_stamps[-1])
-    starts, ends = (poses_at(of, odometry_stamps, driven) for of in (begins, stamps))
+    starts, ends = (poses_at(times, odometry_stamps, driven) for times in (begins, stamps))
     for k in np.flatnonzero(known):
         poses[k] = compose(log.truth.rows[nearest[k]], between(starts[k], ends[k]))
     return poses, known
@@ -213,7 +213,8 @@ def _correlations(errors: ObservationErrors, values: Array) -> dict[tuple[float,
     variance = float(np.square(values).mean()) or math.nan
     pairs = {lags: np.concatenate(at_lag) for lags, at_lag in products.items()}
     return {
-        lags: float(of.mean()) / variance if len(of) else math.nan for lags, of in pairs.items()}
+        lags: float(samples.mean()) / variance if len(samples) else math.nan
+        for lags, samples in pairs.items()}
 
 
 def rms(values: Array) -> float:

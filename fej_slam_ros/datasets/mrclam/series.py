@@ -44,9 +44,9 @@ class Series:
         """Return the rows in the order of stamps; those of one stamp keep their order."""
         return self.reordered(np.argsort(self.stamps, kind='stable'))
 
-    def shifted(self, by: int) -> 'Series':
+    def shifted(self, shift: int) -> 'Series':
         """Return the rows with stamps on another clock [ns]."""
-        return Series(self.stamps + by, self.rows)
+        return Series(self.stamps + shift, self.rows)
 
 
 def joined(parts: Sequence[Series]) -> Series:

@@ -48,13 +48,13 @@ def draw(file: BinaryIO, solution: CsamSolution, joint: JointMap, exchanged: Exc
     figure.savefig(file, dpi=110)
 
 
-def _draw_own(axes: Axes, of: JointMap, local: LocalMap, colour: str) -> None:
+def _draw_own(axes: Axes, joint: JointMap, local: LocalMap, colour: str) -> None:
     """Draw a map in its own frame, with ellipses."""
-    _, P = of.information().marginals()
+    _, P = joint.information().marginals()
     name = local.robot.upper()
-    axes.plot(*of.values.poses[:, :2].T, color=colour, linewidth=1.0, label=name)
-    axes.plot(*of.values.points.T, '^', color=colour, markersize=3, label=f'landmark of {name}')
-    for point, P_point in zip(of.values.points, P):
+    axes.plot(*joint.values.poses[:, :2].T, color=colour, linewidth=1.0, label=name)
+    axes.plot(*joint.values.points.T, '^', color=colour, markersize=3, label=f'landmark of {name}')
+    for point, P_point in zip(joint.values.points, P):
         draw_ellipse(axes, point, P_point, colour, SIGMAS)
 
 

@@ -109,7 +109,8 @@ def run(task: CsamTask) -> CsamRun:
         {_true_id(solution.truth, key) for key in local.landmarks} for local in solution.maps)
     return CsamRun(
         task, len(p & q),
-        {sender: of for (sender, _), of in sizes(solution.maps, solution.measurements).items()},
+        {sender: form_sizes for (sender, _), form_sizes in sizes(
+            solution.maps, solution.measurements).items()},
         None if solution.joint is None else gain(solution.truth, solution.maps, solution.joint),
         solution.rejection_reason)
 

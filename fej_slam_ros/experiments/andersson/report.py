@@ -96,7 +96,9 @@ class CsamEntry:
     @property
     def is_met(self) -> bool | None:
         """Return whether the value meets its requirement, None for no requirement."""
-        return None if (of := self.required) is None else of.low <= self.value <= of.high
+        if self.required is None:
+            return None
+        return self.required.low <= self.value <= self.required.high
 
 
 def entries(runs: Sequence[CsamRun]) -> dict[str, CsamEntry]:
@@ -217,8 +219,8 @@ def _size_table(runs: Sequence[CsamRun]) -> str:
     sizes = _mean_sizes(runs)
     forms = [*next(iter(sizes.values()))]
     rows = [
-        [robot.upper(), *(f'{of[form]:.0f}' for form in forms), smallest(of)]
-        for robot, of in sizes.items()]
+        [robot.upper(), *(f'{form_sizes[form]:.0f}' for form in forms), smallest(form_sizes)]
+        for robot, form_sizes in sizes.items()]
     return markdown_table(['bytes of the alignment message', *forms, 'smallest'], rows)
 
 

@@ -64,8 +64,8 @@ def summary(result: VictoriaPark) -> dict[str, Any]:
         'rmse': result.rmse,
         'bounds': result.bounds,
         'batch': {
-            name: {'cost': of.cost, 'unknowns': of.unknowns, 'iterations': of.iterations}
-            for name, of in result.batches().items()},
+            name: {'cost': batch.cost, 'unknowns': batch.unknowns, 'iterations': batch.iterations}
+            for name, batch in result.batches().items()},
         'x_gni_difference': None if result.x_gni is None else asdict(result.x_gni)}
 
 

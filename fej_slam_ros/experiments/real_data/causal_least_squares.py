@@ -82,8 +82,8 @@ def _newest(estimator: Estimator, team: TeamSmoother) -> Iterable[Newest]:
 
 def _errors(team: TeamSmoother, newest: Iterable[Newest]) -> CausalErrors:
     errors = [
-        (of.smoothed[:2] - true[:2], of.filtered[:2] - true[:2]) for of in newest
-        if (true := team.truth.find(of.robot, of.stamp)) is not None]
+        (estimate.smoothed[:2] - true[:2], estimate.filtered[:2] - true[:2]) for estimate in newest
+        if (true := team.truth.find(estimate.robot, estimate.stamp)) is not None]
     of_both = np.array(errors).reshape(-1, 2, 2)
     return CausalErrors(
         len(errors), root_mean_square(of_both[:, 0]), root_mean_square(of_both[:, 1]))

@@ -186,7 +186,7 @@ def _filtered(
     monitors = estimator.innovations.nis.values()
     if not any(monitor.dof for monitor in monitors):
         raise UserError(_nothing_observed_twice(task))
-    trajectories = {name: _trajectory(of) for name, of in estimates.items()}
+    trajectories = {name: _trajectory(poses) for name, poses in estimates.items()}
     return replace(
         _evaluated(
             task, data, trajectories,
@@ -203,7 +203,7 @@ def _smoothed(
     team, causal = causal_least_squares(settings, records)
     seconds = time.perf_counter() - begin
     of_anchor = next(
-        (of for of in team.solution.maps if settings.anchor in of.trajectories), None)
+        (solved for solved in team.solution.maps if settings.anchor in solved.trajectories), None)
     if of_anchor is None:
         raise UserError(_nothing_observed_twice(task))
     # As long as no other robot has joined, a map has the frame of its robot's first pose.
@@ -211,9 +211,10 @@ def _smoothed(
     C = pose_rotation(start[2])
     trajectories = {
         name: Trajectory(
-            np.array(of.stamps), transform_poses(start, of.poses()), C @ of.covariances() @ C.T,
-            np.full(len(of.stamps), name in of_anchor.trajectories))
-        for name, of in team.trajectories.items()}
+            np.array(trajectory.stamps), transform_poses(start, trajectory.poses()),
+            C @ trajectory.covariances() @ C.T,
+            np.full(len(trajectory.stamps), name in of_anchor.trajectories))
+        for name, trajectory in team.trajectories.items()}
     landmarks = {
         id_: point for ((_, id_), *_), point in zip(
             of_anchor.landmarks, transform(start, of_anchor.points))}
@@ -230,23 +231,25 @@ def _trajectory(estimates: Sequence[PoseEstimate]) -> Trajectory:
 
 def markdown(runs: Sequence[MrclamRun]) -> str:
     """Return the runs as a page."""
-    first_of_set = {of.task.name: of for of in reversed(runs)}
+    first_of_set = {result.task.name: result for result in reversed(runs)}
     drifts = [
-        f'{name}: {", ".join(f"{robot} {e:.2f}" for robot, e in of.dead_reckoning.items())}'
-        for name, of in sorted(first_of_set.items()) if of.dead_reckoning]
+        f'{name}: {", ".join(f"{robot} {e:.2f}" for robot, e in result.dead_reckoning.items())}'
+        for name, result in sorted(first_of_set.items()) if result.dead_reckoning]
     return '\n\n'.join([
         '# MRCLAM', MRCLAM_NOTES, markdown_table(MRCLAM_TITLES, map(_row, runs), (0, 1, 2)),
         CAUSAL_NOTES, markdown_table(CAUSAL_TITLES, [
-            _causal_row(of.task, of.causal) for of in runs if of.causal and of.causal.poses],
+            _causal_row(result.task, result.causal) for result in runs
+            if result.causal and result.causal.poses],
             (0, 1)),
         f'Dead reckoning, position RMSE [m]: {"; ".join(drifts)}.']) + '\n'
 
 
 def summary(runs: Sequence[MrclamRun]) -> list[dict[str, Any]]:
     """Return the runs for a JSON file."""
-    return [asdict(of) | {'task': {
-        'set': of.task.name, 'filter': of.task.filter, 'robots_seen': of.task.robots_seen}}
-        for of in runs]
+    return [asdict(result) | {'task': {
+        'set': result.task.name, 'filter': result.task.filter,
+        'robots_seen': result.task.robots_seen}}
+        for result in runs]
 
 
 def _evaluable(folder: Path) -> tuple[MrclamSet, ConversionOptions]:
@@ -270,16 +273,16 @@ def _truth(data: MrclamSet, trajectories: Mapping[str, Trajectory]) -> dict[str,
     return {name: truth for name, truth in between.items() if len(truth)}
 
 
-def _errors(of: Trajectory, truth: Series) -> MrclamErrors:
+def _errors(trajectory: Trajectory, truth: Series) -> MrclamErrors:
     """Return a robot's errors at stamps with ground truth between its first and last estimate."""
-    after = np.searchsorted(of.stamps, truth.stamps)
-    used = of.in_map[after] & of.in_map[(after - 1).clip(0)]
-    estimated = poses_at(truth.stamps, of.stamps, of.poses)[used]
+    after = np.searchsorted(trajectory.stamps, truth.stamps)
+    used = trajectory.in_map[after] & trajectory.in_map[(after - 1).clip(0)]
+    estimated = poses_at(truth.stamps, trajectory.stamps, trajectory.poses)[used]
     error = estimated - truth.rows[used]
     error[:, 2] = wrap_all(error[:, 2])
     return MrclamErrors(
-        estimated, truth.rows[used], nees_per_dof(error, of.P[after][used]),
-        float(of.in_map.mean()))
+        estimated, truth.rows[used], nees_per_dof(error, trajectory.P[after][used]),
+        float(trajectory.in_map.mean()))
 
 
 def _drift(stamps: Indices, odometry: Array, truth: Series) -> float:
@@ -326,14 +329,15 @@ def _rmse(estimated: Array, true: Array) -> tuple[float, float]:
     return root_mean_square(errors[:, :2]), root_mean_square(wrap_all(errors[:, 2:]))
 
 
-def _row(of: MrclamRun) -> list[str]:
+def _row(result: MrclamRun) -> list[str]:
     return [
-        of.task.name, of.task.filter, 'used' if of.task.robots_seen else 'not used',
-        f'{of.position:.3f}', f'{of.fitted_position:.3f}', f'{max(of.of_robots.values()):.3f}',
-        f'{of.heading:.4f}', f'{of.fitted_heading:.4f}', f'{of.nees:.2f}',
-        '' if of.nis is None else f'{of.nis:.2f}',
-        f'{of.landmarks} of {of.true_landmarks}', f'{of.landmark_rmse:.3f}',
-        f'{100.0 * min(of.in_map.values()):.1f}', f'{of.seconds:.0f}']
+        result.task.name, result.task.filter, 'used' if result.task.robots_seen else 'not used',
+        f'{result.position:.3f}', f'{result.fitted_position:.3f}',
+        f'{max(result.of_robots.values()):.3f}',
+        f'{result.heading:.4f}', f'{result.fitted_heading:.4f}', f'{result.nees:.2f}',
+        '' if result.nis is None else f'{result.nis:.2f}',
+        f'{result.landmarks} of {result.true_landmarks}', f'{result.landmark_rmse:.3f}',
+        f'{100.0 * min(result.in_map.values()):.1f}', f'{result.seconds:.0f}']
 
 
 def _causal_row(task: MrclamTask, causal: CausalErrors) -> list[str]:

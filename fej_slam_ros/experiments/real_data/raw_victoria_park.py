@@ -109,12 +109,14 @@ def markdown(runs: Sequence[RawParkRun]) -> str:
 def summary(runs: Sequence[RawParkRun]) -> list[dict[str, Any]]:
     """Return the runs for a JSON file."""
     return [{
-        'robots': of.task.robots, 'identities': of.task.has_ids, 'landmarks': of.landmarks,
-        'gps_median': float(np.median(of.distances)),
-        'gps_median_fitted': float(np.median(of.fitted)),
-        'gps_90_percent_fitted': float(np.quantile(of.fitted, 0.9)),
-        'nis': of.nis, 'matches': of.matches, 'false_matches': of.false, 'split_trees': of.split,
-        'doubtful': of.doubtful, 'seconds': of.seconds} for of in runs]
+        'robots': result.task.robots, 'identities': result.task.has_ids,
+        'landmarks': result.landmarks,
+        'gps_median': float(np.median(result.distances)),
+        'gps_median_fitted': float(np.median(result.fitted)),
+        'gps_90_percent_fitted': float(np.quantile(result.fitted, 0.9)),
+        'nis': result.nis, 'matches': result.matches, 'false_matches': result.false,
+        'split_trees': result.split, 'doubtful': result.doubtful, 'seconds': result.seconds}
+        for result in runs]
 
 
 def _records(
@@ -150,10 +152,14 @@ def _fitted(antenna: Array, fixes: Array) -> Array:
     return distances
 
 
-def _row(of: RawParkRun) -> list[str]:
-    false = f'{of.false} ({100.0 * of.false / of.matches:.2f} %)' if of.matches else '-'
+def _row(result: RawParkRun) -> list[str]:
+    false = '-'
+    if result.matches:
+        false = f'{result.false} ({100.0 * result.false / result.matches:.2f} %)'
     return [
-        str(of.task.robots), 'published' if of.task.has_ids else 'unknown', str(of.landmarks),
-        f'{np.median(of.distances):.2f}', f'{np.median(of.fitted):.2f}',
-        f'{np.quantile(of.fitted, 0.9):.2f}', f'{of.nis:.2f}', str(of.matches or '-'), false,
-        '-' if of.task.has_ids else str(of.split), str(of.doubtful), f'{of.seconds:.0f}']
+        str(result.task.robots), 'published' if result.task.has_ids else 'unknown',
+        str(result.landmarks),
+        f'{np.median(result.distances):.2f}', f'{np.median(result.fitted):.2f}',
+        f'{np.quantile(result.fitted, 0.9):.2f}', f'{result.nis:.2f}',
+        str(result.matches or '-'), false, '-' if result.task.has_ids else str(result.split),
+        str(result.doubtful), f'{result.seconds:.0f}']

@@ -70,12 +70,12 @@ def _offsets(
 
 def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
     if len(offsets) == 2:  # Either clock may be the wrong one.
-        (first, here), (second, there) = offsets.items()
-        side = 'ahead of' if here > there else 'behind'
+        (first, first_offset), (second, second_offset) = offsets.items()
+        side = 'ahead of' if first_offset > second_offset else 'behind'
         yield error(
             'clock_skew', f'{first}, {second}',
-            f'stamps of {second} are {seconds(abs(here - there))} {side} those of {first}, by log'
-            ' time', SYNCHRONISE)
+            f'stamps of {second} are {seconds(abs(first_offset - second_offset))} {side} those of'
+            f' {first}, by log time', SYNCHRONISE)
         return
     for name, offset in offsets.items():
         difference = offset - median(offsets.values())

@@ -49,7 +49,7 @@ def survey(folder: Path = FOLDER) -> list[SharedMemory]:
         if match:
             files.setdefault(match[1], []).append(path)
     opened = {path for path in _opened(folder) if 'port' in path.name}
-    return [_surveyed(name, tuple(of), opened) for name, of in sorted(files.items())]
+    return [_surveyed(name, tuple(paths), opened) for name, paths in sorted(files.items())]
 
 
 def delete(stale: SharedMemory) -> None:

@@ -210,11 +210,11 @@ def _verified(path: Path) -> bytes:
         raise UserError(f'{path} is not a checkpoint: give a file that ~/save has written')
     expected = _title()
     if title != expected:
-        made, here = (text[len(TITLE_START):].decode(errors='replace') for text in (
+        file_version, own_version = (text[len(TITLE_START):].decode(errors='replace') for text in (
             title, expected))
         raise UserError(
-            f'{path} is a checkpoint made by another version of the data in it: {made}; this'
-            f' is {here}: restore it with the version that wrote it')
+            f'{path} is a checkpoint made by another version of the data in it: {file_version};'
+            f' this is {own_version}: restore it with the version that wrote it')
     checksum, _, content = rest.partition(b'\n')
     if checksum != sha256(content).hexdigest().encode():
         raise UserError(
@@ -222,11 +222,11 @@ def _verified(path: Path) -> bytes:
     return content
 
 
-def _refuse_other_settings(path: Path, made: Values, given: Values) -> None:
-    for name in {**given, **made}:
-        if made.get(name) != given.get(name):
+def _refuse_other_settings(path: Path, saved: Values, given: Values) -> None:
+    for name in {**given, **saved}:
+        if saved.get(name) != given.get(name):
             raise UsageError(
-                f'{path} was made with {name} = {made.get(name)!r}, not {given.get(name)!r}: '
+                f'{path} was made with {name} = {saved.get(name)!r}, not {given.get(name)!r}: '
                 'restore a run with the parameters that it was started with')
 
 

@@ -211,7 +211,8 @@ def _with_observations(bag: Path, clouds: Collection[str]) -> set[str]:
         fields: set[str] = set()
         # The deserialiser raises errors of many types for a truncated message.
         with suppress(Exception):
-            fields = {of.name for of in deserialize(message.raw, message.type_name).fields}
+            cloud = deserialize(message.raw, message.type_name)
+            fields = {point_field.name for point_field in cloud.fields}
         if fields:
             remaining.discard(message.topic)
         if fields >= OBSERVATION_FIELDS:

@@ -169,7 +169,7 @@ class RunFiles:
             *(partial(write_json, self.folder / f'{name}.json', content)
               for name, content in contents.items())]
         names = ['landmarks.csv', *(f'{name}.json' for name in contents)]
-        parts = [part for of in self._trajectories.values() for part in of.parts]
+        parts = [part for trajectory in self._trajectories.values() for part in trajectory.parts]
         errors = _errors_of([
             *((part.path.name, part.keep) for part in parts), *zip(names, last)])
         self._end(PartFile.close)

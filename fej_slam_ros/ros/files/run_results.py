@@ -80,8 +80,8 @@ def read_folder(folder: Path) -> RunResult:
         for path in files}
     shared_ids = not (folder / 'ids.csv').exists()
     nis = {
-        name: NisSum(float(of['sum']), int(of['dof']))
-        for name, of in _summary(folder)['nis'].items()}
+        name: NisSum(float(sums['sum']), int(sums['dof']))
+        for name, sums in _summary(folder)['nis'].items()}
     return RunResult(_trajectories(rows), _landmarks(folder), nis, shared_ids)
 
 
@@ -95,9 +95,9 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
             f' {", ".join(sorted(topics)) or "none"}: give a bag that replay --bag'
             ' wrote, or one with recorded output topics')
     maps = [
-        topic for topic, of in topics.items()
-        if topic.endswith('/landmarks') and of.type_name == CLOUD and topic != TRUE_LANDMARKS
-        and f'{topic.removesuffix("landmarks")}odom' not in topics
+        topic for topic, bag_topic in topics.items()
+        if topic.endswith('/landmarks') and bag_topic.type_name == CLOUD
+        and topic != TRUE_LANDMARKS and f'{topic.removesuffix("landmarks")}odom' not in topics
         and topic.removesuffix('/landmarks') not in robots]
     rows: dict[str, list[PoseRow]] = {robot: [] for robot in robots}
     landmarks, own_frames = NO_LANDMARKS, {*map(own_frame, robots)}
@@ -111,12 +111,12 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
         elif topic in DIAGNOSTICS:
             for node, robots_of in incoming.nis(message).items():
                 nis.setdefault(node, {}).update(
-                    (name, NisSum(*of)) for name, of in robots_of.items())
+                    (name, NisSum(*sums)) for name, sums in robots_of.items())
         else:
-            of = incoming.pose_estimate(message, topic.partition('/')[0])
+            estimate = incoming.pose_estimate(message, topic.partition('/')[0])
             # The parameter map_frame gives the frame map another name in messages.
-            frame = of.frame if of.frame in own_frames else MAP
-            rows[of.robot].append(PoseRow(of.stamp, frame, of.pose, of.P))
+            frame = estimate.frame if estimate.frame in own_frames else MAP
+            rows[estimate.robot].append(PoseRow(estimate.stamp, frame, estimate.pose, estimate.P))
 
     wanted = {
         **dict.fromkeys(maps, CLOUD), **dict.fromkeys(DIAGNOSTICS, TYPES[DIAGNOSTICS_TOPIC]),
@@ -233,10 +233,10 @@ def _is_written(name: str, entry: Any) -> bool:
     """Return whether a run writes such content of an entry."""
     if name == 'nis':
         return all(
-            isinstance(of, dict) and all(
-                isinstance(of.get(key), (int, float)) and np.isfinite(of[key])
+            isinstance(sums, dict) and all(
+                isinstance(sums.get(key), (int, float)) and np.isfinite(sums[key])
                 for key in ('sum', 'dof'))
-            for of in entry.values())
+            for sums in entry.values())
     return name != 'remap' or all(isinstance(rule, str) for rule in entry)
 
 

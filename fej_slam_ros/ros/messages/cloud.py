@@ -70,7 +70,9 @@ def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> Columns:
     if cloud.point_step > MAX_POINT_STEP:
         raise BadCloudError('points are too large')
     point = _point(
-        tuple([(of.name, of.datatype, of.offset) for of in cloud.fields if of.name in names]),
+        tuple([
+            (field.name, field.datatype, field.offset) for field in cloud.fields
+            if field.name in names]),
         '>' if cloud.is_bigendian else '<', cloud.point_step)
     points = np.empty(0, point) if 0 in (*shape, cloud.point_step) else np.ndarray(
         shape, point, data.data, 0, (cloud.row_step, cloud.point_step)).reshape(-1)

@@ -95,10 +95,10 @@ def odometry(message: OdometryMessage, robot: str) -> Odometry:
 
 def static_transforms(message: TFMessage) -> tuple[list[StaticTransform], list[RejectionReason]]:
     """Return static transforms as values, and the reasons why others are rejected."""
-    results = [_static_transform(of) for of in message.transforms]
+    results = [_static_transform(transform) for transform in message.transforms]
     return (
-        [of for of in results if isinstance(of, StaticTransform)],
-        [of for of in results if isinstance(of, RejectionReason)])
+        [result for result in results if isinstance(result, StaticTransform)],
+        [result for result in results if isinstance(result, RejectionReason)])
 
 
 def spatial_pose(t: Vector3 | Point, q: Quaternion) -> Array:
@@ -307,12 +307,13 @@ def _in_base_frame(z: Array, R: Array, sensor: Array) -> tuple[Array, Array]:
         return (z[:, None] @ C.T)[:, 0] + sensor[:2], C @ R @ C.T
 
 
-def _static_transform(of: TransformStamped) -> StaticTransform | RejectionReason:
+def _static_transform(transform: TransformStamped) -> StaticTransform | RejectionReason:
     try:
-        pose = spatial_pose(of.transform.translation, of.transform.rotation)
+        pose = spatial_pose(transform.transform.translation, transform.transform.rotation)
     except RejectedError as rejected:
         return rejected.reason
-    return StaticTransform(of.header.frame_id.lstrip('/'), of.child_frame_id.lstrip('/'), pose)
+    return StaticTransform(
+        transform.header.frame_id.lstrip('/'), transform.child_frame_id.lstrip('/'), pose)
 
 
 def _planar_pose(pose: Pose) -> Array:

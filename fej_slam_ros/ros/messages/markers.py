@@ -81,10 +81,10 @@ def detection_markers(
 
 def tag_markers(record: RobotTags) -> MarkerArray:
     """Return the tags in an image of a camera as cubes with their numbers as IDs."""
-    of, drawn = header(record.stamp, f'{record.robot}/camera_optical_frame'), []
+    camera_header, drawn = header(record.stamp, f'{record.robot}/camera_optical_frame'), []
     for tag in record.tags:
         marker = _marker(
-            of, 'tags', int(tag.name), Marker.ADD, Marker.CUBE, np.zeros(3), *TAG_SIZE)
+            camera_header, 'tags', int(tag.name), Marker.ADD, Marker.CUBE, np.zeros(3), *TAG_SIZE)
         x, y, z = tag.pose[:3, 3].tolist()
         qx, qy, qz, qw = Rotation.from_matrix(tag.pose[:3, :3]).as_quat().tolist()
         marker.pose = Pose(
@@ -149,15 +149,16 @@ def _points(points: Array) -> list[Point]:
 
 
 def _marker(
-    of: Header, namespace: str, k: int, action: int, shape: int, at: Array, *scale: float
+    marker_header: Header, namespace: str, k: int, action: int, shape: int, at: Array,
+    *scale: float
 ) -> Marker:
     x, y, z = scale or (1.0, 1.0, 1.0)
     return Marker(
-        header=of, ns=namespace, id=k, type=shape, action=action,
+        header=marker_header, ns=namespace, id=k, type=shape, action=action,
         pose=to_pose(at), scale=Vector3(x=x, y=y, z=z),
         color=ColorRGBA(r=0.0, g=0.0, b=0.0, a=1.0), lifetime=Duration(sec=0, nanosec=0),
         frame_locked=False, points=[], colors=[], texture_resource='',
-        texture=CompressedImage(header=of, format='', data=np.empty(0, np.uint8)),
+        texture=CompressedImage(header=marker_header, format='', data=np.empty(0, np.uint8)),
         uv_coordinates=[], text='', mesh_resource='',
         mesh_file=MeshFile(filename='', data=np.empty(0, np.uint8)),
         mesh_use_embedded_materials=False)

@@ -160,21 +160,21 @@ class NodeFiles:
 
 def _made_in_time(make: Callable[[], LiveFiles], folder: Path) -> LiveFiles:
     """Return the files that a thread makes; UserError if it fails or the disk keeps it waiting."""
-    made: SimpleQueue[LiveFiles | UserError] = SimpleQueue()
+    results: SimpleQueue[LiveFiles | UserError] = SimpleQueue()
     is_late = Event()
 
     def work() -> None:
         try:
             files = make()
-            made.put(files)
+            results.put(files)
             if is_late.is_set():
                 files.discard()
         except UserError as error:
-            made.put(error)
+            results.put(error)
 
     Thread(target=work, name='opening', daemon=True).start()
     try:
-        result = made.get(timeout=REQUEST_WAIT)
+        result = results.get(timeout=REQUEST_WAIT)
     except Empty:
         is_late.set()
         raise UserError(

@@ -192,7 +192,8 @@ class ParameterNode(CheckedClockNode):
                 return (
                     f'parameter {shortened(parameter.name)!r} has the type'
                     f' {parameter.value.type}, which ROS does not define')
-        unknown = [of.name for of in parameters if not self.has_parameter(of.name)]
+        unknown = [
+            requested.name for requested in parameters if not self.has_parameter(requested.name)]
         if len(unknown) > MAX_WARNINGS:
             return f'{len(unknown)} parameters are unknown, such as {shortened(unknown[0])!r}'
         return ''

@@ -149,11 +149,13 @@ class NodeTopics:
         self, incompatible: Iterable[IncompatibleQos]
     ) -> dict[str, TopicPublishers]:
         """Return the publishers on each input topic, by its relative name."""
-        reasons = {of.topic: str(of) for of in incompatible}
+        reasons = {qos.topic: str(qos) for qos in incompatible}
         found = {}
         for topic, subscription in self._subscriptions.items():
             name = subscription.topic_name
-            types = [of.topic_type for of in self._node.get_publishers_info_by_topic(name)]
+            types = [
+                endpoint.topic_type
+                for endpoint in self._node.get_publishers_info_by_topic(name)]
             found[topic] = TopicPublishers(name, tuple(types), reasons.get(name, ''))
         return found
 
@@ -165,8 +167,8 @@ class NodeTopics:
             robot, _, kind = topic.rpartition('/')
             if kind == 'pose':
                 names = [
-                    f'{of.node_namespace.rstrip("/")}/{of.node_name}'
-                    for of in self._node.get_publishers_info_by_topic(publisher.topic_name)]
+                    f'{endpoint.node_namespace.rstrip("/")}/{endpoint.node_name}'
+                    for endpoint in self._node.get_publishers_info_by_topic(publisher.topic_name)]
                 # A node of the same name is another one.
                 others = ', '.join(sorted((Counter(names) - Counter([own])).elements()))
                 if others:

@@ -97,8 +97,8 @@ class AdapterSettings:
 def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Parameter]:
     """Return the parameters of the adapter for some robots by their full names."""
     return parameters_of(AdapterSettings) | {
-        f'{robot}.{name}': of for robot in robots
-        for name, of in parameters_of(SensedRobotSettings).items()}
+        f'{robot}.{name}': definition for robot in robots
+        for name, definition in parameters_of(SensedRobotSettings).items()}
 
 
 def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> AdapterSettings:
@@ -111,7 +111,7 @@ def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> Adapt
         robot, _, field = name.partition('.')
         of_robots[robot][field] = checked.pop(name)
     settings = AdapterSettings(**checked, of_robots=tuple(
-        SensedRobotSettings(**of) for of in of_robots.values()))
+        SensedRobotSettings(**robot_values) for robot_values in of_robots.values()))
     _check(settings)
     return settings
 
@@ -124,8 +124,10 @@ def load_adapter(path: Path, warn: Warn = warn_once) -> AdapterSettings:
 def adapter_values(settings: AdapterSettings) -> dict[str, Value]:
     """Return the settings as flat ROS parameters, without those that are not set."""
     values = {name: getattr(settings, name) for name in parameters_of(AdapterSettings)}
-    for robot, of in zip(settings.robots, settings.of_robots):
-        values |= {f'{robot}.{field.name}': getattr(of, field.name) for field in fields(of)}
+    for robot, robot_settings in zip(settings.robots, settings.of_robots):
+        values |= {
+            f'{robot}.{field.name}': getattr(robot_settings, field.name)
+            for field in fields(robot_settings)}
     known = known_parameters(settings.robots)
     # ROS cannot tell the type of an empty list.
     return {
@@ -153,8 +155,8 @@ def _check(settings: AdapterSettings) -> None:
     if len(ids) < len(settings.robots):
         raise UsageError("parameters '<robot>.id' are the same for two robots: give each its own")
     owners: dict[str, str] = {}
-    for robot, of in zip(settings.robots, settings.of_robots):
-        for tag in of.tags:
+    for robot, robot_settings in zip(settings.robots, settings.of_robots):
+        for tag in robot_settings.tags:
             if owners.setdefault(tag, robot) != robot:
                 raise UsageError(
                     f"parameters '{owners[tag]}.tags' and '{robot}.tags' both have {tag!r}: give"

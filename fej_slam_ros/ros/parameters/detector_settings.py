@@ -94,5 +94,5 @@ def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:
 def detector_values(settings: DetectorSettings) -> dict[str, Value]:
     """Return the settings as flat ROS parameters."""
     return {
-        of.name: DETECTOR_PARAMETERS[of.name].kind.write(getattr(settings, of.name))
-        for of in fields(settings)}
+        field.name: DETECTOR_PARAMETERS[field.name].kind.write(getattr(settings, field.name))
+        for field in fields(settings)}

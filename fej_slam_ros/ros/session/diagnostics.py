@@ -206,10 +206,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that no robot sends odometry, None if one does."""
         inputs = [self._input_of(robot, now) for robot in self._consumer.robots]
-        began = [of for of in inputs if of.flow('odom').received]
+        began = [robot_input for robot_input in inputs if robot_input.flow('odom').received]
         if not began:
             return Fault(Level.WARN, 'no odometry received')
-        if all(of.has_stopped('odom') for of in began):
+        if all(robot_input.has_stopped('odom') for robot_input in began):
             return Fault(Level.STALE, 'the odometry of all robots has stopped')
         return None
 
@@ -364,9 +364,9 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
         })
 
 
-def _percentiles(of: str, times: Collection[float]) -> dict[str, float]:
+def _percentiles(quantity: str, times: Collection[float]) -> dict[str, float]:
     values = asdict(percentiles(np.array([*times])))
-    return {f'{name}_{of}_s': round(value, 6) for name, value in values.items()}
+    return {f'{name}_{quantity}_s': round(value, 6) for name, value in values.items()}
 
 
 def _consistency(nis: NisMonitor) -> tuple[int, str]:

@@ -186,4 +186,4 @@ def _united(
     robots: Sequence[RobotSettings], others: Sequence[RobotSettings]
 ) -> tuple[RobotSettings, ...]:
     """Return robots with others added, which also replace those of the same names."""
-    return tuple(({of.name: of for of in robots} | {of.name: of for of in others}).values())
+    return tuple({robot.name: robot for robot in [*robots, *others]}.values())

@@ -165,17 +165,19 @@ class Outputs(ABC, Generic[ConsumerT]):
         stamp, maps = self._stamp(), [*self._maps()]
         topics = {MAP: LANDMARKS_TOPIC} | {
             own_frame(name): f'{name}/map_landmarks' for name in self._consumer.robots}
-        for of in maps:
-            if of.frame in topics:
-                yield topics[of.frame], outgoing.landmarks(
-                    stamp, self._frames.published(of.frame), of.ids, of.points, of.P)
+        for map_estimate in maps:
+            if map_estimate.frame in topics:
+                yield topics[map_estimate.frame], outgoing.landmarks(
+                    stamp, self._frames.published(map_estimate.frame), map_estimate.ids,
+                    map_estimate.points, map_estimate.P)
         if is_wanted(MARKERS_TOPIC):
             drawn = self._newest()
             yield MARKERS_TOPIC, markers.markers(
                 stamp,
                 [(index, drawn[name], self._drawn_path(name))
                  for index, name in enumerate(self._consumer.robots) if name in drawn],
-                [(of.frame, of.points, of.P) for of in maps], self._frames.map_frame)
+                [(map_estimate.frame, map_estimate.points, map_estimate.P)
+                 for map_estimate in maps], self._frames.map_frame)
 
     def _transforms(
         self, estimates: Sequence[PoseEstimate], odometry: Mapping[str, Array],

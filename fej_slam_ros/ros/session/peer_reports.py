@@ -67,10 +67,12 @@ class PeerDiagnostics(SmootherDiagnostics):
 
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that the own robot sends no odometry, None if it does."""
-        of = self._input_of(self._consumer.robot, now)
-        if not of.flow('odom').received:
+        own_input = self._input_of(self._consumer.robot, now)
+        if not own_input.flow('odom').received:
             return Fault(Level.WARN, 'no odometry received')
-        return Fault(Level.STALE, 'the odometry has stopped') if of.has_stopped('odom') else None
+        if own_input.has_stopped('odom'):
+            return Fault(Level.STALE, 'the odometry has stopped')
+        return None
 
     def _values_of(self, robot: str) -> dict[str, object]:
         values = super()._values_of(robot)

@@ -345,7 +345,7 @@ class SmootherLog(RunLog[TeamSmoother]):
         for robot in [*self._inputs.health.pose_priors]:
             if robot in team.trajectories:
                 self._note_priors(robot, team.trajectories[robot].newest().stamp)
-        lost = {robot for robot, of in team.trajectories.items() if of.is_lost}
+        lost = {robot for robot, trajectory in team.trajectories.items() if trajectory.is_lost}
         for robot in sorted(lost - self._lost):
             reason = team.statistics.restart_reasons[robot]
             self.add(LogSeverity.WARN, f'{robot} goes on in its own frame: {reason}')

@@ -72,7 +72,7 @@ class SmootherOutputs(Outputs[TeamSmoother]):
         if not self._consumer.solution.maps:
             return {}
         return {
-            name: of.newest() for name, of in self._consumer.trajectories.items()
+            name: trajectory.newest() for name, trajectory in self._consumer.trajectories.items()
             if name in self._consumer.robots}
 
     def _path(self, robot: str) -> StampedPoses:

@@ -161,8 +161,9 @@ class SmootherSession(Session):
                 for failed in solution.not_joined],
             'unsolved': dict(solution.unsolved),
             'messages': [
-                {'sender': sender, 'receiver': receiver, 'bytes': of, 'smallest': smallest(of)}
-                for (sender, receiver), of in self.message_sizes.items()],
+                {'sender': sender, 'receiver': receiver, 'bytes': sizes,
+                 'smallest': smallest(sizes)}
+                for (sender, receiver), sizes in self.message_sizes.items()],
         }
 
     def relocalization(self, robot: str) -> PosePrior:
