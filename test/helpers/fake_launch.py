@@ -304,7 +304,7 @@ def install(patch):
     """Have launch files import this instead."""
     for name, classes in MODULES.items():
         module = ModuleType(name)
-        vars(module).update({made.__name__: made for made in classes})
+        vars(module).update({class_.__name__: class_ for class_ in classes})
         patch.setitem(sys.modules, name, module)
 
 
@@ -335,8 +335,9 @@ def from_yaml(tag, given):
         return Node(
             package=given['pkg'], executable=given['exec'], name=given['name'],
             output=given['output'], parameters=[
-                InText(of['from']) if 'from' in of else {of['name']: InText(of['value'])}
-                for of in given['param']])
+                InText(parameter['from']) if 'from' in parameter
+                else {parameter['name']: InText(parameter['value'])}
+                for parameter in given['param']])
     assert tag == 'include'
     return IncludeLaunchDescription(
         PythonLaunchDescriptionSource(InText(given['file'])),

@@ -56,12 +56,12 @@ def out_of_order(topic):
     return plant
 
 
-def recorded_late(topic, part, by):
+def recorded_late(topic, part, delay):
     """Return a fault that records some messages of a topic [s] late."""
     def plant(found):
         own = [entry for entry in found if entry.topic == topic]
         for entry in own[part]:
-            entry.logged += round(by * NS)
+            entry.logged += round(delay * NS)
         return sorted(found, key=lambda entry: entry.logged)
     return plant
 
@@ -126,8 +126,8 @@ def columns(**changed):
             'formats': [{v: k for k, v in DATATYPES.items()}[f.datatype] for f in cloud.fields],
             'offsets': [f.offset for f in cloud.fields], 'itemsize': cloud.point_step})
         points = np.frombuffer(cloud.data.tobytes(), layout).copy()
-        for name, made in changed.items():
-            points[name] = made(points[name])
+        for name, function in changed.items():
+            points[name] = function(points[name])
         cloud.data = points.view(np.uint8).ravel()
     return change
 
@@ -140,9 +140,9 @@ def floating_ids(entry):
 
 
 def twist_covariance(change):
-    def made(entry):
+    def change_entry(entry):
         entry.message.twist.covariance = change(entry.message.twist.covariance.copy())
-    return made
+    return change_entry
 
 
 def at(place, value):

@@ -141,14 +141,18 @@ def detections3d(ms, frame, detections, box=(0, 0, 0), frame_of_each=''):
     """
     return raw('r1/detections', make(
         'vision_msgs/Detection3DArray', header=header(ms, frame),
-        detections=[_detection(header(ms, frame_of_each), of, box) for of in detections]), ms)
+        detections=[
+            _detection(header(ms, frame_of_each), detection, box)
+            for detection in detections]), ms)
 
 
-def _detection(of_detection, of, box):
-    results = [] if of is None else [
-        _hypothesis('another', 0.1, (0, 0, 0), None), _hypothesis(of[0], 0.9, *of[2:])]
+def _detection(of_detection, detection, box):
+    results = [] if detection is None else [
+        _hypothesis('another', 0.1, (0, 0, 0), None),
+        _hypothesis(detection[0], 0.9, *detection[2:])]
     return make(
-        'vision_msgs/Detection3D', header=of_detection, id='' if of is None else of[1],
+        'vision_msgs/Detection3D', header=of_detection,
+        id='' if detection is None else detection[1],
         bbox=make(
             'vision_msgs/BoundingBox3D', center=pose(box),
             size=make('geometry_msgs/Vector3', x=0.0, y=0.0, z=0.0)),
@@ -217,9 +221,9 @@ def write_bag(path, messages, types=TYPES):
     """Write messages with the definitions of their packages as a bag."""
     connections = {}
     with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for of in messages:
-            key = f'/{of.topic}', of.type_name
+        for message in messages:
+            key = f'/{message.topic}', message.type_name
             if key not in connections:
                 connections[key] = writer.add_connection(*key, typestore=types)
-            writer.write(connections[key], of.received, of.raw)
+            writer.write(connections[key], message.received, message.raw)
     return path

@@ -58,7 +58,8 @@ def generate(package, target, kind, *names):
     generators = {entry.name: entry for entry in entry_points(group=group)}
     for name in names:
         generators[name].load()(name).generate(
-            package.name, [f'{package}:msg/{of.name}' for of in package.glob('msg/*.msg')],
+            package.name,
+            [f'{package}:msg/{definition.name}' for definition in package.glob('msg/*.msg')],
             [f'{PREFIX}/share'], target)
 
 

@@ -127,10 +127,11 @@ class InvariantReference:
         prior, xi = self.groups, np.zeros(len(self.P))
         R = block_diag(*(observation.R for *_, observation in seen))
         for _ in range(self._iterations):
-            H = np.vstack([self._H(by, of) for by, of, _ in seen])
+            H = np.vstack([self._H(observer, observed) for observer, observed, _ in seen])
             r = np.concatenate([
-                observation.z - self.groups[by][:2, :2].T @ (self._point(of) - self._point(by))
-                for by, of, observation in seen])
+                observation.z - self.groups[observer][:2, :2].T @ (
+                    self._point(observed) - self._point(observer))
+                for observer, observed, observation in seen])
             K = np.linalg.solve(H @ self.P @ H.T + R, H @ self.P).T
             xi = K @ (r + H @ xi)
             self.groups = {
@@ -138,14 +139,14 @@ class InvariantReference:
         A = np.eye(len(xi)) - K @ H
         self.P = A @ self.P @ A.T + K @ R @ K.T
 
-    def _H(self, by, of):
-        """Return C^T [xi_of - xi_by + J p_of (theta_owner - theta_by)]."""
+    def _H(self, observer, observed):
+        """Return C^T [xi_observed - xi_observer + J p_observed (theta_owner - theta_observer)]."""
         H = np.zeros((2, len(self.P)))
-        H[:, self._position(of)] += np.eye(2)
-        H[:, self._position(by)] -= np.eye(2)
-        H[:, self._theta(of)] += J @ self._point(of)
-        H[:, self._theta(by)] -= J @ self._point(of)
-        return self.groups[by][:2, :2].T @ H
+        H[:, self._position(observed)] += np.eye(2)
+        H[:, self._position(observer)] -= np.eye(2)
+        H[:, self._theta(observed)] += J @ self._point(observed)
+        H[:, self._theta(observer)] -= J @ self._point(observed)
+        return self.groups[observer][:2, :2].T @ H
 
     def _wedge(self, name, xi):
         wedge = np.zeros_like(self.groups[name])

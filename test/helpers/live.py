@@ -120,8 +120,10 @@ class Domain:
 
     def has_publisher(self, topic):
         """Return whether all subscriptions of the estimator to a topic know a publisher."""
-        subscriptions = [of for of in self._estimator.subscriptions if of.topic_name == topic]
-        return all(of.get_publisher_count() > 0 for of in subscriptions)
+        subscriptions = [
+            subscription for subscription in self._estimator.subscriptions
+            if subscription.topic_name == topic]
+        return all(subscription.get_publisher_count() > 0 for subscription in subscriptions)
 
     def end_estimate(self):
         """End the estimator in this process as a signal would."""

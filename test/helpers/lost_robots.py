@@ -80,8 +80,8 @@ def jump(distance, turned=0.0):
     """Let odometry jump once, as after a restart of the driver."""
     def inject(records, since, rng):
         angle = rng.uniform(-np.pi, np.pi)
-        by = np.array([distance * np.cos(angle), distance * np.sin(angle), turned * angle])
-        return with_increments(records, since, since + STEP, lambda u: compose(u, by))
+        offset = np.array([distance * np.cos(angle), distance * np.sin(angle), turned * angle])
+        return with_increments(records, since, since + STEP, lambda u: compose(u, offset))
     return inject
 
 
@@ -137,9 +137,9 @@ def mount(x, y, phi, from_start=False):
 def set_clock(seconds):
     """Set the clock of the robot, in the middle of its drive."""
     def inject(records, since, _):
-        by = round(seconds * NS)
+        shift = round(seconds * NS)
         return [
-            replace(r, stamp=r.stamp + by) if is_of_lost(r, (Odometry, Scan, TruePose), since)
+            replace(r, stamp=r.stamp + shift) if is_of_lost(r, (Odometry, Scan, TruePose), since)
             else r for r in records]
     return inject
 

@@ -21,7 +21,8 @@ GENERATOR = ROOT / 'test' / 'helpers' / 'generate_messages.py'
 def provided(folder, packages):
     """Provide packages {name: {message: definition}} to this process and its children."""
     with pytest.MonkeyPatch.context() as patch:
-        missing = {name: of for name, of in packages.items() if find_spec(name) is None}
+        missing = {
+            name: messages for name, messages in packages.items() if find_spec(name) is None}
         if missing:
             _generate(folder, missing)
             patch.syspath_prepend(folder)

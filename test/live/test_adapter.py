@@ -66,7 +66,9 @@ def check(formats, tmp_path):
     expected = []
     for message in messages:
         offline.receive(message)
-        expected += [of for of in offline.take() if of[0] != 'r1/detection_markers']
+        expected += [
+            publication for publication in offline.take()
+            if publication[0] != 'r1/detection_markers']
 
     reliable = {
         f'qos_overrides./{topic}.subscription.reliability': 'reliable'
@@ -78,13 +80,13 @@ def check(formats, tmp_path):
         ids = domain.listen('landmark_ids', TEXT)
         # Until the subscriptions have discovered the publishers, messages are lost.
         for topic in offline.object_topics:
-            first, before = next(of for of in messages if of.topic == topic), len(landmarks)
+            first, before = next(m for m in messages if m.topic == topic), len(landmarks)
             while len(landmarks) == before:
                 domain.send(first)
                 domain.node.executor.spin_once(live_helpers.PAUSE)
         landmarks.clear()
         domain.send(*messages)
-        sent = [live_helpers.on_the_wire(cdr(of)) for topic, of in expected
+        sent = [live_helpers.on_the_wire(cdr(m)) for topic, m in expected
                 if topic == 'r1/landmarks']
         # Messages on different topics may overtake each other.
         domain.until(lambda: not Counter(sent) - Counter(landmarks))
@@ -95,7 +97,7 @@ def check(formats, tmp_path):
     assert {*landmarks} == {*sent}
     # New names are published once a second, and at the end.
     texts = [
-        of.data for topic, of in [*expected, *offline.close()] if topic == 'landmark_ids']
+        m.data for topic, m in [*expected, *offline.close()] if topic == 'landmark_ids']
     assert json.loads(ids[-1].data) == json.loads(texts[-1])
 
 

@@ -25,8 +25,8 @@ RELIABLE = {
 def counted(reports, robot, count):
     """Return a count of a robot in the latest diagnostics."""
     values = {
-        of.key: int(of.value) for report in reports[-1:] for status in report.status
-        if status.name.endswith(robot) for of in status.values}
+        entry.key: int(entry.value) for report in reports[-1:] for status in report.status
+        if status.name.endswith(robot) for entry in status.values}
     return values.get(count, 0)
 
 

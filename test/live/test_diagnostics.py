@@ -202,7 +202,7 @@ def test_the_statuses_of_two_estimators_have_names_of_their_own(domain, observer
 
     domain.until(lambda: len(observer.statuses()) == 8)
 
-    assert {name: of.hardware_id for name, of in observer.statuses().items()} == {
+    assert {name: status.hardware_id for name, status in observer.statuses().items()} == {
         f'{namespace}/estimator: {part}': hardware for namespace in ('east', 'west')
         for part, hardware in {
             'r1': 'r1', 'qos': 'fej_slam_ros', 'files': 'fej_slam_ros',

@@ -75,7 +75,7 @@ def set_all(domain, *parameters, node='estimator'):
 def test_a_request_that_no_node_can_use_is_refused_with_a_reason(domain, parameters, reason):
     node = domain.estimate(**TEAM)
 
-    results = set_all(domain, *(parameter(*of) for of in parameters))
+    results = set_all(domain, *(parameter(*pair) for pair in parameters))
 
     assert not any(result.successful for result in results)
     assert all(reason in result.reason and len(result.reason) < 2000 for result in results)

@@ -78,12 +78,14 @@ def test_memory_of_a_killed_node_is_stale_and_can_be_deleted_while_others_run(do
     memory = memory_of(killed)
     domain.finish(killed, signal.SIGKILL)
 
-    left = [of for of in shared_memory.survey() if of.is_stale and of.name in memory]
-    for of in left:
-        shared_memory.delete(of)
+    left = [
+        segment for segment in shared_memory.survey()
+        if segment.is_stale and segment.name in memory]
+    for segment in left:
+        shared_memory.delete(segment)
     restarted = start(domain, parameters, 'estimator')
 
     wait_for_more(domain, poses)
     assert left
-    assert not any(path.exists() for of in left for path in of.files)
+    assert not any(path.exists() for segment in left for path in segment.files)
     assert [domain.finish(node, signal.SIGINT)[0] for node in (survivor, restarted)] == [0, 0]

@@ -55,8 +55,9 @@ class Robots:
     def wait_for_estimator(self):
         """Wait until both subscriptions of the estimator know the odometry, and it knows them."""
         self._domain.until(lambda: all(
-            of.get_subscription_count() == 2 and self._domain.has_publisher(f'/{robot}/odom')
-            for robot, of in self._publishers.items()))
+            publisher.get_subscription_count() == 2
+            and self._domain.has_publisher(f'/{robot}/odom')
+            for robot, publisher in self._publishers.items()))
 
 
 def newest_pose(domain, robots):

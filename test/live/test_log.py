@@ -192,9 +192,9 @@ def test_a_jump_of_time_is_an_error_once(domain, log, running):
     log.until('^step 0', times=2)
 
 
-def shifted(record, by):
+def shifted(record, shift):
     """Return records whose stamps are shifted by a time in ms."""
-    return lambda ms: record(ms + by)
+    return lambda ms: record(ms + shift)
 
 
 def test_a_node_that_waits_for_the_clock(domain, log):

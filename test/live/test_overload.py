@@ -40,20 +40,20 @@ POINTS = RNG.uniform(-40.0, 40.0, (5000, 2))
 
 def with_ids(count, first=0):
     """Return a function that makes scans of landmarks with IDs."""
-    def made(ms, x):
+    def message(ms, x):
         z = (POINTS[first:first + count] - [x, 0.0] + RNG.normal(0.0, 0.1, (count, 2))).T
         ids = np.arange(first, first + count)
         return raw('r1/landmarks', cloud(
             {'x': ('f8', z[0]), 'y': ('f8', z[1]), 'id': ('i4', ids)}, ms))
-    return made
+    return message
 
 
 def without_ids(count):
     """Return a function that makes scans of points without IDs, as a lidar does."""
-    def made(ms, _x):
+    def message(ms, _x):
         xy = RNG.uniform(-40.0, 40.0, (2, count))
         return raw('r1/landmarks', cloud({'x': ('f4', xy[0]), 'y': ('f4', xy[1])}, ms))
-    return made
+    return message
 
 
 def known_and_new(ms, x):
@@ -66,14 +66,14 @@ def flood(kind):
     """Return a function that makes more messages of r1 within a period, `FLOOD` a second."""
     count = FLOOD * PERIOD_MS // 1000
 
-    def made(ms, x):
+    def messages(ms, x):
         for k in range(1, count):
             part = k / count - 1.0
             at, seen = ms + part * PERIOD_MS, x + part * PERIOD_MS / 1000.0
             yield raw_record(
                 odometry('r1', at, [seen, 0.0, 0.0]) if kind == 'odom'
                 else scan('r1', at, [(9000, (20.0 - seen, 0.0))]))
-    return made
+    return messages
 
 
 class Drive:

@@ -69,7 +69,8 @@ def test_map_to_odom_composed_with_odometry_is_the_predicted_pose(domain, tmp_pa
     newest = max(stamp for _, stamp in by_odometry)
     domain.until(lambda: all(p and stamp_of(p[-1]) == newest for p in poses.values()))
     domain.until(lambda: len(messages) == sum(map(len, poses.values())))
-    domain.until(lambda: [len(of) for of in of_robots] == [len(p) for p in poses.values()])
+    domain.until(lambda: (
+        [len(robot_poses) for robot_poses in of_robots] == [len(p) for p in poses.values()]))
 
     later = {key for key in by_odometry if key[1] >= 3 * NS}
     assert len(messages) >= len(later) > 20
@@ -103,14 +104,15 @@ def test_the_smoother_publishes_a_transform_with_each_pose_if_asked_to(domain, t
     domain.until(lambda: domain.node.count_publishers('/tf'))
 
     domain.send(*map(raw_record, meeting(6)))
-    domain.until(lambda: all(len(of) >= 4 for of in poses))
+    domain.until(lambda: all(len(robot_poses) >= 4 for robot_poses in poses))
     domain.until(lambda: len(messages) == sum(map(len, poses)))
 
     found = {
-        (stamp_of(of) - 100 * MS, of.child_frame_id)
-        for message in messages for of in message.transforms}
+        (stamp_of(transform) - 100 * MS, transform.child_frame_id)
+        for message in messages for transform in message.transforms}
     assert found == {
-        (stamp_of(pose), f'{name}/odom') for name, of in zip(TEAM['robots'], poses) for pose in of}
+        (stamp_of(pose), f'{name}/odom')
+        for name, robot_poses in zip(TEAM['robots'], poses) for pose in robot_poses}
 
 
 def test_without_tf2_msgs_the_node_warns_once_and_works(domain, monkeypatch, capfd):

@@ -25,7 +25,7 @@ R1, R2, R3 = (RobotSettings(f'r{k}', k) for k in (1, 2, 3))
 HALF = 6 * NS
 
 
-def of(*names, records=RUN):
+def records_of(*names, records=RUN):
     """Return what the robots of some names send."""
     return [r for r in records if isinstance(r, TrueLandmarks) or r.robot in names]
 
@@ -47,7 +47,7 @@ def ended(estimator):
 
 def test_removing_a_robot_only_marginalizes_it():
     estimator = Estimator(team())
-    drive(estimator, of('r1', 'r2'), until=HALF)
+    drive(estimator, records_of('r1', 'r2'), until=HALF)
     poses, points, P = whole_state(estimator)
     landmarks = list(estimator.groups.team.state.landmarks)
 
@@ -64,12 +64,12 @@ def test_removing_a_robot_only_marginalizes_it():
 def test_other_robots_continue_as_if_a_removed_robot_were_silent():
     silent, left = (Estimator(team()) for _ in range(2))
     for estimator in (silent, left):
-        drive(estimator, of('r1', 'r2'), until=HALF)
+        drive(estimator, records_of('r1', 'r2'), until=HALF)
         # All that waits for its time is used, so that both know the same.
         list(estimator.release())
     left.change_team([R1])
     for estimator in (silent, left):
-        drive(estimator, of('r1'), since=HALF)
+        drive(estimator, records_of('r1'), since=HALF)
         ended(estimator)
 
     poses, points, P = whole_state(left)
@@ -84,7 +84,7 @@ def test_other_robots_continue_as_if_a_removed_robot_were_silent():
 
 def test_an_added_robot_equals_one_that_was_silent_before():
     always, added = Estimator(team('r1', 'r2', 'r3')), Estimator(team('r1', 'r2'))
-    early, late = of('r1', 'r2'), [r for r in RUN if r.stamp >= HALF]
+    early, late = records_of('r1', 'r2'), [r for r in RUN if r.stamp >= HALF]
     for estimator in (always, added):
         drive(estimator, early, until=HALF)
         estimator.change_team([R1, R2, R3])
@@ -112,7 +112,7 @@ def test_a_robot_that_returns_elsewhere_relocalizes_by_landmarks(seed):
     estimator = Estimator(team())
     drive(estimator, records, until=HALF)
     estimator.change_team([R1])
-    drive(estimator, of('r1', records=records), since=HALF, until=2 * HALF)
+    drive(estimator, records_of('r1', records=records), since=HALF, until=2 * HALF)
     estimator.change_team([R1, R2])
 
     results = drive(estimator, [switched_on(r, 2 * HALF) for r in records], since=2 * HALF)
@@ -164,7 +164,9 @@ def test_queued_messages_of_a_removed_robot_are_rejected_as_left():
 
 def test_messages_used_before_a_robot_left_are_not_used_again():
     estimator = Estimator(team())
-    early = [r for r in of('r1', 'r2') if r.stamp < HALF and not isinstance(r, TrueLandmarks)]
+    early = [
+        r for r in records_of('r1', 'r2')
+        if r.stamp < HALF and not isinstance(r, TrueLandmarks)]
     drive(estimator, early)
     list(estimator.release())
     estimator.change_team([R1])
@@ -182,11 +184,11 @@ def test_messages_used_before_a_robot_left_are_not_used_again():
 def test_the_anchor_may_leave_after_it_has_observed_a_landmark():
     estimator = Estimator(team())
     assert [estimator.groups.may_leave(name) for name in ('r1', 'r2')] == [False, True]
-    drive(estimator, of('r1', 'r2'), until=HALF)
+    drive(estimator, records_of('r1', 'r2'), until=HALF)
 
     assert estimator.groups.may_leave('r1')
     estimator.change_team([R2])
-    results = drive(estimator, of('r2'), since=HALF)
+    results = drive(estimator, records_of('r2'), since=HALF)
 
     assert {pose.frame for result in results for pose in result.poses} == {'map'}
 

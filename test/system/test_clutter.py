@@ -79,10 +79,10 @@ def test_matches_are_correct_landmarks_unique_and_poses_consistent(
     matches = [run.matches for run in runs]
     assert sum(m.false() for m in matches) < 0.01 * sum(m.count() for m in matches)
     for run in runs:
-        there = run.landmarks()
-        assert set(there.values()) == {1}
-        assert len(there) > 50
-        assert max(there) < CLUTTER
+        landmarks = run.landmarks()
+        assert set(landmarks.values()) == {1}
+        assert len(landmarks) > 50
+        assert max(landmarks) < CLUTTER
     nees = [
         score.mean_nees_per_dof() for run in runs
         for score in run.estimator.evaluation.scores.values()]

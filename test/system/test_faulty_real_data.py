@@ -60,9 +60,9 @@ def assert_repaired(found, original, within):
     """Compare the logs with those before the fault; stamps are right within some seconds."""
     for robot in ROBOTS:
         for kind in ('commands', 'observations'):
-            of, expected = (getattr(logs[robot], kind) for logs in (found.logs, original.logs))
-            np.testing.assert_array_equal(of.rows, expected.rows)
-            assert np.abs(of.stamps - expected.stamps).max() <= within * 1e9
+            series, expected = (getattr(logs[robot], kind) for logs in (found.logs, original.logs))
+            np.testing.assert_array_equal(series.rows, expected.rows)
+            assert np.abs(series.stamps - expected.stamps).max() <= within * 1e9
 
 
 @pytest.mark.slow

@@ -79,8 +79,8 @@ def bad_messages(seed, count, ms):
     """Yield messages received at a time, with the reasons for which they may be rejected."""
     rng = np.random.default_rng(seed)
     while True:
-        for kind, made in (('odom', bad_odometry(rng, ms)), ('landmarks', bad_scans(rng, ms))):
-            for message, reasons in made:
+        for kind, messages in (('odom', bad_odometry(rng, ms)), ('landmarks', bad_scans(rng, ms))):
+            for message, reasons in messages:
                 robot = f'r{rng.integers(1, 3)}'
                 arrived = raw(f'{robot}/{kind}', message, ms)
                 cut = replace(arrived, raw=arrived.raw[:rng.integers(len(arrived.raw) - 4)])
@@ -118,8 +118,8 @@ def test_malformed_messages_change_no_bit_and_are_counted_by_reason(count):
     assert run.estimator.state_hash() == expected.estimator.state_hash()
     poses = [
         [(topic, bytes(m.pose.covariance), m.pose.pose.position.x)
-         for topic, m in made if topic.endswith('/pose')]
-        for made in (in_peace, published)]
+         for topic, m in publications if topic.endswith('/pose')]
+        for publications in (in_peace, published)]
     assert poses[0] == poses[1]
     assert allowed.total() + held >= count
     before, after = (

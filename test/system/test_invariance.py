@@ -120,11 +120,11 @@ def test_a_transformed_world_gives_the_transformed_estimate_and_covariance(kind,
     C = turn(alpha)
 
     poses, points, P = whole_state(estimate(records, **settings)[0])
-    there = estimate(moved(records, t, alpha), anchor_pose=(*t, alpha), **settings)[0]
+    moved_estimator = estimate(moved(records, t, alpha), anchor_pose=(*t, alpha), **settings)[0]
 
     A = block_diag(*[block_diag(C, 1.0)] * 2, *[C] * 20)
     moved_poses = np.column_stack([poses[:, :2] @ C.T + t, poses[:, 2] + alpha])
-    assert_same_state(whole_state(there), (moved_poses, points @ C.T + t, A @ P @ A.T))
+    assert_same_state(whole_state(moved_estimator), (moved_poses, points @ C.T + t, A @ P @ A.T))
 
 
 @pytest.mark.parametrize('kind', KINDS)

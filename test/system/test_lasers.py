@@ -67,8 +67,8 @@ def test_without_ids_the_estimate_is_as_good_as_with_ids():
 
     assert all(result.joined for result in results[False])
     rmse = {
-        with_ids: np.sqrt(np.mean(np.square([[*r.rmse.values()] for r in of])))
-        for with_ids, of in results.items()}
+        with_ids: np.sqrt(np.mean(np.square([[*r.rmse.values()] for r in runs])))
+        for with_ids, runs in results.items()}
     assert rmse[False] < 1.3 * rmse[True]
     # The mean of 40 correlated runs varies by 0.1.
     assert 0.85 < np.mean([[*r.nees.values()] for r in results[False]]) < 1.3
@@ -103,7 +103,7 @@ def layout(kind, rng, paths):
         points = centre + radius * np.stack([np.cos(angles), np.sin(angles)], 1)
     else:
         half = rng.uniform(low - 1.5, centre, (12, 2))
-        points = [p for of in half for p in (of, 2.0 * centre - of)]
+        points = [p for post in half for p in (post, 2.0 * centre - post)]
     clear: list = []
     for p in np.array(points):
         if np.hypot(*(paths - p).T).min() > CLEAR and all(

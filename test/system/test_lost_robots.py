@@ -47,12 +47,12 @@ def test_the_followers_of_a_lost_robot_are_where_they_would_be_without_its_fault
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('by', [-20.0, -3.0, -1.0, -0.3, 0.3, 3.0])
-def test_a_clock_that_is_set_harms_nobody(by):
+@pytest.mark.parametrize('seconds', [-20.0, -3.0, -1.0, -0.3, 0.3, 3.0])
+def test_a_clock_that_is_set_harms_nobody(seconds):
     runs = []
     for seed in range(6):
         records, (rng, since) = drive(seed), fault_at(seed)
-        faulty = run(set_clock(by)(records, since, rng), since)
+        faulty = run(set_clock(seconds)(records, since, rng), since)
         runs.append((faulty, run(records)))
 
     # A healthy robot misses at most the observations of the time that passed twice.

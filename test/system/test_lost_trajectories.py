@@ -25,10 +25,10 @@ HALF = END * 5 // 12
 ALONE = [r for r in RECORDS if getattr(r, 'robot', '') == 'r1']
 
 
-def jumping(records, since=HALF, by=(400.0, -300.0, 2.0)):
+def jumping(records, since=HALF, jump=(400.0, -300.0, 2.0)):
     """Return records in which the odometry of r1 begins again elsewhere."""
     return [
-        replace(r, pose=compose(np.array(by), r.pose))
+        replace(r, pose=compose(np.array(jump), r.pose))
         if isinstance(r, Odometry) and r.robot == 'r1' and r.stamp > since else r for r in records]
 
 
@@ -60,13 +60,16 @@ def test_after_a_jump_all_poses_are_where_they_are_without_it(records, distance)
     smoother, poses = smoothed(jumping(records), settings)
 
     assert smoother.statistics.relocalized == {'r1': 1}
-    expected = {of.stamp: of for of in sound.trajectories['r1'].estimates()}
-    own = [of for of in smoother.trajectories['r1'].estimates() if of.stamp in expected]
+    expected = {estimate.stamp: estimate for estimate in sound.trajectories['r1'].estimates()}
+    own = [
+        estimate for estimate in smoother.trajectories['r1'].estimates()
+        if estimate.stamp in expected]
     assert len(own) >= 0.9 * len(expected)
     assert own[-1].stamp > HALF + 0.9 * (END - HALF)
-    assert {of.frame for of in own} == {sound.trajectories['r1'].frame}
-    differences = np.array([pose_difference(of.pose, expected[of.stamp].pose) for of in own])
-    sigmas = np.sqrt([np.diag(expected[of.stamp].P) for of in own]) + 1e-9
+    assert {estimate.frame for estimate in own} == {sound.trajectories['r1'].frame}
+    differences = np.array([
+        pose_difference(estimate.pose, expected[estimate.stamp].pose) for estimate in own])
+    sigmas = np.sqrt([np.diag(expected[estimate.stamp].P) for estimate in own]) + 1e-9
     # One increment of hundreds is missing, and with keyframes others are chosen.
     assert np.sqrt(np.mean(np.square(differences / sigmas))) < (0.5 if distance == 0.0 else 1.0)
     assert np.abs(poses[-1].P).max() < 1.0
@@ -107,7 +110,7 @@ def test_a_robot_that_returns_to_the_team_is_found_by_its_landmarks():
         stamp = getattr(record, 'stamp', 0)
         names = ['r2'] if leaves < stamp <= returns else ['r1', 'r2']
         if [*smoother.robots] != names:
-            smoother.change_team([of for of in settings.robots if of.name in names])
+            smoother.change_team([robot for robot in settings.robots if robot.name in names])
         if getattr(record, 'robot', 'r2') in names:
             smoother.add(record)
             list(smoother.take())
@@ -115,9 +118,11 @@ def test_a_robot_that_returns_to_the_team_is_found_by_its_landmarks():
     smoother.adopt(solve(smoother.task()))
 
     true = {r.stamp: r.pose for r in RECORDS if isinstance(r, TruePose) and r.robot == 'r1'}
-    later = [of for of in smoother.trajectories['r1'].estimates() if of.stamp > returns]
-    errors = np.array([pose_difference(of.pose, true[of.stamp]) for of in later])
-    nees = [e @ np.linalg.solve(of.P, e) / 3.0 for e, of in zip(errors, later)]
+    later = [
+        estimate for estimate in smoother.trajectories['r1'].estimates()
+        if estimate.stamp > returns]
+    errors = np.array([pose_difference(estimate.pose, true[estimate.stamp]) for estimate in later])
+    nees = [e @ np.linalg.solve(estimate.P, e) / 3.0 for e, estimate in zip(errors, later)]
     assert len(later) > 10
     # Poses of one run are correlated: within a factor of 3.
     assert 0.33 < np.mean(nees) < 3.0
@@ -137,7 +142,7 @@ def test_a_robot_that_is_lost_again_loses_the_poses_in_between():
 
 
 def test_a_robot_as_fast_as_its_limit_is_not_lost():
-    step = jumping(ALONE, by=(1.0, 0.0, 0.0))
+    step = jumping(ALONE, jump=(1.0, 0.0, 0.0))
     robots = [replace(team().robots[0], max_speed=limit) for limit in (1e-3, 1e3)]
 
     slow, fast = (smoothed(step, replace(team(), robots=(robot,)))[0] for robot in robots)
@@ -183,7 +188,7 @@ def test_a_given_pose_places_a_robot_that_observes_nothing():
     (placed,) = [pose for pose in poses if pose.stamp == at]
     assert placed.frame == 'map'
     assert_allclose(placed.pose, true_pose(at), atol=1e-9)
-    final = {of.stamp: of for of in smoother.trajectories['r1'].estimates()}
+    final = {estimate.stamp: estimate for estimate in smoother.trajectories['r1'].estimates()}
     # Its variance is that of the message and at most twice that of the last pose before.
     before = final[max(t for t in final if t < HALF)].P
     assert np.all(np.diag(final[at].P) >= 0.99 * 0.01)
@@ -203,7 +208,7 @@ def test_a_robot_of_which_nothing_is_known_is_found_by_its_landmarks():
     # By the scan of that step, which observes three landmarks.
     assert {pose.frame for pose in poses} == {'map'}
     sound, _ = smoothed(RECORDS)
-    ends = [[*of.trajectories['r1'].estimates()][-1] for of in (smoother, sound)]
+    ends = [[*run.trajectories['r1'].estimates()][-1] for run in (smoother, sound)]
     assert ends[0].stamp == ends[1].stamp
     sigma = np.sqrt(np.diag(ends[1].P))
     assert np.abs(pose_difference(ends[0].pose, ends[1].pose) / sigma).max() < 1.0

@@ -27,7 +27,7 @@ SENSORS = SensorSettings(
 
 def largest_difference(team, other, frame):
     """Return the largest difference of two smoothers in the frame of a robot [m, rad]."""
-    of_team, of_other = (poses_in_frame_of(of, frame) for of in (team, other))
+    of_team, of_other = (poses_in_frame_of(smoother, frame) for smoother in (team, other))
     assert of_team.keys() == of_other.keys()
     return max(np.abs(of_team[name] - of_other[name]).max() for name in of_team)
 
@@ -35,7 +35,7 @@ def largest_difference(team, other, frame):
 def information_traces(team):
     """Return the sum of the variances of all poses of each robot, equal in all frames."""
     return {
-        name: sum(np.trace(of.P[:2, :2]) for of in trajectory.estimates())
+        name: sum(np.trace(estimate.P[:2, :2]) for estimate in trajectory.estimates())
         for name, trajectory in team.trajectories.items()}
 
 
@@ -127,13 +127,13 @@ def nees_of(team, records, frame):
     true = {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
     start = min(stamp for _, stamp in true)
     estimates = {
-        (of.robot, of.stamp): of
-        for trajectory in team.trajectories.values() for of in trajectory.estimates()}
+        (estimate.robot, estimate.stamp): estimate
+        for trajectory in team.trajectories.values() for estimate in trajectory.estimates()}
     own, values = estimates[frame, start].pose, []
-    for key, of in estimates.items():
+    for key, estimate in estimates.items():
         if key != (frame, start):
-            error = pose_error(of.pose, compose(own, between(true[frame, start], true[key])))
-            values.append(error @ np.linalg.solve(of.P, error) / 3.0)
+            error = pose_error(estimate.pose, compose(own, between(true[frame, start], true[key])))
+            values.append(error @ np.linalg.solve(estimate.P, error) / 3.0)
     return np.mean(values)
 
 

@@ -70,7 +70,7 @@ def nees_after(seed, sigma):
                 ratings[pose.robot].append(e @ np.linalg.solve(pose.P, e) / 3.0)
     # A robot that noticed is on probation for 20 of 95 steps, which an unknown pose does not end.
     assert len(ratings[CARRIED]) > 70
-    return {robot: np.mean(of) for robot, of in ratings.items()}
+    return {robot: np.mean(values) for robot, values in ratings.items()}
 
 
 @pytest.mark.parametrize('sigma', [RVIZ, UNKNOWN])
@@ -84,5 +84,5 @@ def test_the_errors_after_a_relocalisation_have_their_covariance(sigma):
     ratings = [nees_after(seed, np.array(sigma)) for seed in range(20)]
 
     # The mean over a run has a standard deviation of about 0.3, since errors last for many steps.
-    assert 0.7 < np.mean([of[CARRIED] for of in ratings]) < 1.3
-    assert 0.7 < np.mean([of['r1'] for of in ratings]) < 1.3
+    assert 0.7 < np.mean([nees[CARRIED] for nees in ratings]) < 1.3
+    assert 0.7 < np.mean([nees['r1'] for nees in ratings]) < 1.3

@@ -78,9 +78,9 @@ def test_robots_of_the_rendezvous_bag_observe_each_other_while_they_pass():
         robot, _, kind = message.topic.partition('/')
         if kind == 'robots':
             cloud = deserialize(message.raw, message.type_name)
-            made, _ = incoming.robot_scan(
+            scan, _ = incoming.robot_scan(
                 cloud, RobotSettings(robot, ids[robot]), {n: name for name, n in ids.items()})
-            met.append((made.stamp, robot, [s.observed for s in made.observations]))
+            met.append((scan.stamp, robot, [s.observed for s in scan.observations]))
 
     # Samples 44 to 52, two a second, from the first second on.
     stamps = [1_000_000_000 + 500_000_000 * k for k in range(44, 53)]

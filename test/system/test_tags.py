@@ -53,5 +53,5 @@ def test_the_estimates_from_tags_are_consistent(tmp_path):
     assert 0.7 < np.mean([s['nees'][name] for s in summaries for name in ('r1', 'r2')]) < 1.3
     # Innovations are not correlated: some 15,000 numbers.
     nis = [s['nis'][name] for s in summaries for name in ('r1', 'r2')]
-    total, dof = sum(of['sum'] for of in nis), sum(of['dof'] for of in nis)
+    total, dof = sum(sums['sum'] for sums in nis), sum(sums['dof'] for sums in nis)
     assert total / dof == pytest.approx(1.0, abs=4.0 * np.sqrt(2.0 / dof))

@@ -16,11 +16,11 @@ from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS
 
 
-def ends(peer, made):
+def ends(peer, course):
     """Return the final poses and covariances of a peer."""
-    for name, pose in made.starts.items():
+    for name, pose in course.starts.items():
         peer.insert_robot(name, 0, pose, START_P)
-    for motions, scans in made.steps:
+    for motions, scans in course.steps:
         found = peer.step(motions, scans)
     return found
 
@@ -43,9 +43,9 @@ class Diary:
 def test_isam2_estimates_agree_with_our_filter(skip):
     isam2 = pytest.importorskip(
         'fej_slam_ros.benchmark.isam2', reason='gtsam is not installed')
-    made = drive(40, 80, 1.0, 8, np.random.default_rng(1))
+    course = drive(40, 80, 1.0, 8, np.random.default_rng(1))
 
-    smoothed, ours = ends(isam2.Isam2(skip), made), ends(Ours(AROUND_ROBOTS), made)
+    smoothed, ours = ends(isam2.Isam2(skip), course), ends(Ours(AROUND_ROBOTS), course)
 
     for name in DRIVE_ROBOTS:
         (x, P), (x_hat, P_hat) = smoothed[name], ours[name]
@@ -60,10 +60,10 @@ def test_a_fixed_lag_smoother_forgets_what_is_older_only():
     isam2 = pytest.importorskip(
         'fej_slam_ros.benchmark.isam2', reason='gtsam is not installed')
     # On a disc of 16 m, landmarks are observed again after tens of steps.
-    made = drive(40, 100, 1.0, 3, np.random.default_rng(1))
+    course = drive(40, 100, 1.0, 3, np.random.default_rng(1))
 
     whole, longer, shorter = (
-        ends(peer, made)['r1'][1] for peer in (
+        ends(peer, course)['r1'][1] for peer in (
             isam2.Isam2(1), isam2.FixedLag(1, lag=120), isam2.FixedLag(1, lag=10)))
 
     # Both relinearise by a threshold.
@@ -74,15 +74,15 @@ def test_a_fixed_lag_smoother_forgets_what_is_older_only():
 @pytest.mark.skipif(not mrpt.is_installed(), reason='MRPT is not installed')
 @pytest.mark.parametrize('method', mrpt.METHODS)
 def test_mrpt_estimates_agree_with_our_filter(method):
-    made = drive(
+    course = drive(
         40, 80, 1.0, 8, np.random.default_rng(1), robots=1, sensor=range_bearing)
 
     with mrpt.built() as program:
         peer = mrpt.Mrpt(program, method)
-        (x, P), (x_hat, P_hat) = ends(peer, made)['r1'], ends(Ours(AROUND_ROBOTS), made)['r1']
+        (x, P), (x_hat, P_hat) = ends(peer, course)['r1'], ends(Ours(AROUND_ROBOTS), course)['r1']
         peer.close()
 
-    observed = {s.id for _, scans in made.steps for scan in scans for s in scan.observations}
+    observed = {s.id for _, scans in course.steps for scan in scans for s in scan.observations}
     assert peer.landmarks == len(observed)
     assert peer.seconds > 0.0
     # The standard EKF linearises at other points: they agree to a fraction of the uncertainty.
@@ -102,11 +102,11 @@ def test_sensors_state_the_covariance_of_their_errors(sensor):
 
 
 def test_all_peers_make_the_same_steps_in_all_orders():
-    made = drive(10, 40, 1.0, 3, np.random.default_rng(2))
+    course = drive(10, 40, 1.0, 3, np.random.default_rng(2))
     asked = []
 
     times = race(
-        {name: partial(Diary, name, asked, made.poses) for name in 'abc'}, made, 10)
+        {name: partial(Diary, name, asked, course.poses) for name in 'abc'}, course, 10)
 
     rounds = [''.join(asked[i:i + 3]) for i in range(0, 120, 3)]
     assert set(rounds) == {'abc', 'acb', 'bac', 'bca', 'cab', 'cba'}

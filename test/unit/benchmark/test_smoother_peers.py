@@ -25,7 +25,7 @@ def test_each_window_of_poses_is_timed_for_every_smoother():
 
     times = growth_times(205, {'iSAM2': lambda: isam2.Isam2(10)})
 
-    assert [(of.name, of.poses) for of in times[:3]] == [
+    assert [(time.name, time.poses) for time in times[:3]] == [
         (OUR_SMOOTHER, 21), ('iSAM2', 21), (OUR_SMOOTHER, 42)]
     assert len(times) == 2 * WINDOWS
     assert times[-1].poses == 205

@@ -50,11 +50,12 @@ def test_exponent_of_a_power_law(p):
 
 
 def test_a_step_of_a_drive_is_the_stride_and_observations_are_of_the_nearest():
-    made = step_speed.drive(50, 20, 0.5, 4, np.random.default_rng(3))
+    course = step_speed.drive(50, 20, 0.5, 4, np.random.default_rng(3))
 
-    increments = np.diff(made.poses[:, :, :2], axis=0)
+    increments = np.diff(course.poses[:, :, :2], axis=0)
     np.testing.assert_allclose(np.linalg.norm(increments, axis=-1), 0.5)
-    assert {len(scan.observations) for _, scans in made.steps for scan in scans} == {4}
+    assert {len(scan.observations) for _, scans in course.steps for scan in scans} == {4}
     # Four of one landmark per 20 m^2 are within some metres.
-    far = [np.hypot(*s.z) for _, scans in made.steps for scan in scans for s in scan.observations]
+    far = [
+        np.hypot(*s.z) for _, scans in course.steps for scan in scans for s in scan.observations]
     assert np.median(far) < 7.0

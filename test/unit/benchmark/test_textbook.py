@@ -14,13 +14,13 @@ from fej_slam_ros.core.ekf.state import JointState
 
 
 def test_the_textbook_ekf_has_the_estimate_of_the_standard_filter_at_every_step():
-    made = drive(30, 60, 1.0, 5, np.random.default_rng(1))
+    course = drive(30, 60, 1.0, 5, np.random.default_rng(1))
     textbook, team = Textbook(), Filter(JointState(), Standard(), Gate(1.0))
-    for name, pose in made.starts.items():
+    for name, pose in course.starts.items():
         textbook.insert_robot(name, 0, pose, START_P)
         team.state.insert_robot(name, 0, pose, START_P)
 
-    for motions, scans in made.steps:
+    for motions, scans in course.steps:
         found = textbook.step(motions, scans)
         team.step(motions, scans)
 

@@ -19,7 +19,7 @@ TAGS = {'tag36h11:4': (2.0, 1.0, 0.3), 'tag36h11:5': (3.0, -1.0, 0.3)}
 def recording(path, *more):
     """Return a bag of a robot that stands still and sees two tags from a camera at its base."""
     messages = [
-        of for ms in range(0, 1000, 100) for of in (
+        message for ms in range(0, 1000, 100) for message in (
             raw('r1/odom', odometry_message(ms), ms),
             foreign.april_tags(ms, 'r1/base_link', TAGS, 'tf'))]
     return foreign.write_bag(path / 'bag', [*messages, *more])
@@ -88,8 +88,9 @@ def test_messages_of_another_release_are_refused(tmp_path, capsys):
     kind = types.types['vision_msgs/msg/Detection3DArray']
     message = kind(header=foreign.header(0, 'r1/base_link'), boxes=np.empty(0))
     name = kind.__msgtype__
-    of = foreign.RawMessage('r1/detections', name, 0, bytes(types.serialize_cdr(message, name)))
-    bag = foreign.write_bag(tmp_path / 'bag', [of], types)
+    raw_message = foreign.RawMessage(
+        'r1/detections', name, 0, bytes(types.serialize_cdr(message, name)))
+    bag = foreign.write_bag(tmp_path / 'bag', [raw_message], types)
     settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'], formats=['detection3d'])
 
     status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')

@@ -152,8 +152,8 @@ def facing_team(names, cameras=1):
                     Observation(id_, point - place - x + rng.normal(0.0, 0.05, 2), R)
                     for id_, point in points.items()))
             yield RobotScan(name, t, tuple(
-                RobotObservation(other, there - place + rng.normal(0.0, 0.05, 2), R)
-                for other, there in places.items() if other != name))
+                RobotObservation(other, position - place + rng.normal(0.0, 0.05, 2), R)
+                for other, position in places.items() if other != name))
 
 
 @pytest.mark.parametrize('kind', ['g2o', 'csv'])

@@ -37,15 +37,15 @@ def contents(folder):
 def test_tables_are_written_as_markdown_csv_and_json(reproduce, tmp_path):
     status, out, _ = reproduce('tables', '--only', '1/20', '2/60', '--runs', '2')
 
-    made = json.loads((tmp_path / 'out' / 'tables.json').read_text(encoding='utf-8'))
+    tables = json.loads((tmp_path / 'out' / 'tables.json').read_text(encoding='utf-8'))
     assert status == 0
     assert (tmp_path / 'out' / 'tables.md').read_text(encoding='utf-8') in out
-    assert len(made) == 2 * 3 * 8
-    assert {entry['runs'] for entry in made.values()} == {2}
+    assert len(tables) == 2 * 3 * 8
+    assert {entry['runs'] for entry in tables.values()} == {2}
     assert {
         '/'.join([*(row[name] for name in ROW), row['entry']]): float(row['ours'])
         for row in csv_rows(tmp_path / 'out' / 'tables.csv')
-    } == {key: entry['ours'] for key, entry in made.items()}
+    } == {key: entry['ours'] for key, entry in tables.items()}
 
 
 @pytest.mark.slow
@@ -109,14 +109,14 @@ def test_csam_is_written_in_all_forms_independently_of_the_jobs(reproduce, tmp_p
             'csam', '--runs', '1', '--seed', '5', '--jobs', jobs, output=jobs)
         assert status == 0
 
-    made = contents(tmp_path / '1')
-    assert set(made) == CSAM
-    assert made == contents(tmp_path / '2')
-    assert made['csam.md'].decode() in out
+    files = contents(tmp_path / '1')
+    assert set(files) == CSAM
+    assert files == contents(tmp_path / '2')
+    assert files['csam.md'].decode() in out
     assert [(row['experiment'], row['seed']) for row in csv_rows(tmp_path / '1' / 'csam.csv')] == [
         ('map_joining', '5'), ('sensor_extension', '5')]
-    assert set(json.loads(made['csam.json'])) == {'map_joining', 'sensor_extension'}
-    assert all(made[name].startswith(PNG) for name in made if name.endswith('.png'))
+    assert set(json.loads(files['csam.json'])) == {'map_joining', 'sensor_extension'}
+    assert all(files[name].startswith(PNG) for name in files if name.endswith('.png'))
 
 
 @pytest.mark.slow
@@ -126,12 +126,12 @@ def test_noise_is_written_in_all_forms_independently_of_the_jobs(reproduce, tmp_
             'noise', '--only', '2/20', '--runs', '2', '--jobs', jobs, output=jobs)
         assert status == 0
 
-    made = contents(tmp_path / '1')
-    assert set(made) == NOISE
-    assert made == contents(tmp_path / '2')
-    assert made['noise.md'].decode() in out
-    assert made['noise.png'].startswith(PNG)
-    assert [case['sighting_m'] for case in json.loads(made['noise.json'])] == [0.6, 0.6, 0.6, 1.0]
+    files = contents(tmp_path / '1')
+    assert set(files) == NOISE
+    assert files == contents(tmp_path / '2')
+    assert files['noise.md'].decode() in out
+    assert files['noise.png'].startswith(PNG)
+    assert [case['sighting_m'] for case in json.loads(files['noise.json'])] == [0.6, 0.6, 0.6, 1.0]
 
 
 @pytest.mark.slow
@@ -274,8 +274,8 @@ def test_an_interrupt_ends_the_workers_and_keeps_finished_runs(tmp_path, number,
         process.until(lambda: process.process.poll() is not None)
         process.until(lambda: not process.family())
 
-        made = json.loads((tmp_path / 'out' / 'tables.json').read_text(encoding='utf-8'))
-        (runs,) = {entry['runs'] for entry in made.values()}
+        tables = json.loads((tmp_path / 'out' / 'tables.json').read_text(encoding='utf-8'))
+        (runs,) = {entry['runs'] for entry in tables.values()}
         assert process.process.returncode == 130
         assert 1 <= runs < 1000
         assert f'{runs} of 1000 runs are finished and kept' in process.process.stdout.read()

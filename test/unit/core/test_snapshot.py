@@ -210,8 +210,8 @@ def smooth(smoother, restored_every=None):
         if restored_every and number % restored_every == 0:
             smoother = restore(snapshot(smoother), smoother.settings, TeamSmoother)
         smoother.add(record)
-        poses += [(of.robot, of.stamp, of.pose.tobytes(), of.P.tobytes())
-                  for of in smoother.take()]
+        poses += [(estimate.robot, estimate.stamp, estimate.pose.tobytes(), estimate.P.tobytes())
+                  for estimate in smoother.take()]
         if number % 400 == 399:
             smoother.adopt(solve(smoother.task()))
     list(smoother.close())

@@ -41,12 +41,12 @@ def test_landmarks_are_those_seen_from_the_pose_at_the_end_of_the_scan():
     angles = still.angle_min + still.angle_increment * np.arange(BEAMS)
     ranges = true_ranges(poses_at(times, stamps, poses), angles, POSTS, NO_WALLS)
     scan = StampedScan(begin, replace(still, ranges=ranges, time_increment=step), np.zeros(3))
-    of = detector()
+    stream = detector()
     for stamp, pose in zip(stamps, poses):
-        of.add_odometry(Odometry('r1', int(stamp), pose, None))
+        stream.add_odometry(Odometry('r1', int(stamp), pose, None))
 
-    of.add_scan(scan)
-    (_, found), = of.take()
+    stream.add_scan(scan)
+    (_, found), = stream.take()
 
     expected = transform(inverse(driven(scan.end)), POSTS[:, :2])
     distances = np.hypot(*(found.points[:, None] - expected).transpose(2, 0, 1))
@@ -55,50 +55,50 @@ def test_landmarks_are_those_seen_from_the_pose_at_the_end_of_the_scan():
 
 
 def test_a_scan_waits_until_odometry_has_passed_its_end():
-    of = detector()
-    of.add_odometry(Odometry('r1', 0, np.zeros(3), None))
-    of.add_scan(StampedScan(NS // 10, scan_of(POSTS, sigma=0.005), np.zeros(3)))
+    stream = detector()
+    stream.add_odometry(Odometry('r1', 0, np.zeros(3), None))
+    stream.add_scan(StampedScan(NS // 10, scan_of(POSTS, sigma=0.005), np.zeros(3)))
 
-    assert not [*of.take()]
-    of.add_odometry(Odometry('r1', NS // 5, np.zeros(3), None))
-    (_, found), = of.take()
-    assert (len(found.points), of.without_odometry) == (3, 0)
+    assert not [*stream.take()]
+    stream.add_odometry(Odometry('r1', NS // 5, np.zeros(3), None))
+    (_, found), = stream.take()
+    assert (len(found.points), stream.without_odometry) == (3, 0)
 
 
 def test_a_scan_that_gets_no_odometry_is_used_after_a_second():
-    of = detector(static_time=0.8)
+    stream = detector(static_time=0.8)
     scan = scan_of(POSTS, sigma=0.005)
     for k in range(12):
-        of.add_scan(StampedScan(k * NS // 10, scan, np.zeros(3)))
+        stream.add_scan(StampedScan(k * NS // 10, scan, np.zeros(3)))
 
-    assert [(scan.stamp, len(found.points)) for scan, found in of.take()] == [(0, 3)]
-    assert (of.scans, of.without_odometry) == (1, 1)
-    assert len([*of.close()]) == 11
+    assert [(scan.stamp, len(found.points)) for scan, found in stream.take()] == [(0, 3)]
+    assert (stream.scans, stream.without_odometry) == (1, 1)
+    assert len([*stream.close()]) == 11
 
 
 def test_a_scan_that_is_not_newer_is_refused():
-    of, scan = detector(), StampedScan(5, scan_of(POSTS), np.zeros(3))
+    stream, scan = detector(), StampedScan(5, scan_of(POSTS), np.zeros(3))
 
-    assert (of.add_scan(scan), of.add_scan(scan)) == (True, False)
+    assert (stream.add_scan(scan), stream.add_scan(scan)) == (True, False)
 
 
 def test_odometry_that_is_not_newer_is_counted():
-    of = detector()
+    stream = detector()
     for stamp in (0, NS, NS // 2, NS):
-        of.add_odometry(Odometry('r1', stamp, np.zeros(3), None))
+        stream.add_odometry(Odometry('r1', stamp, np.zeros(3), None))
 
-    assert of.late_odometry == 2
+    assert stream.late_odometry == 2
 
 
 def test_uncertain_odometry_during_the_scan_makes_its_first_landmarks_uncertain():
     scan = replace(scan_of(POSTS, beams=BEAMS), time_increment=DURATION / BEAMS)
     found = []
     for variance in (0.0, 1.0):
-        of = detector()
+        stream = detector()
         for k in range(4):
-            of.add_odometry(Odometry('r1', k * NS // 20, np.zeros(3), variance * np.eye(3)))
-        of.add_scan(StampedScan(0, scan, np.zeros(3)))
-        found.append(next(of.take())[1])
+            stream.add_odometry(Odometry('r1', k * NS // 20, np.zeros(3), variance * np.eye(3)))
+        stream.add_scan(StampedScan(0, scan, np.zeros(3)))
+        found.append(next(stream.take())[1])
 
     sure, unsure = found
     # A variance of 1 m^2/s^2 of two increments of 0.05 s, of which the last beam has none.
@@ -109,17 +109,17 @@ def test_uncertain_odometry_during_the_scan_makes_its_first_landmarks_uncertain(
 
 @pytest.mark.parametrize('ahead', [0, 10**6])
 def test_a_stamp_far_ahead_and_time_that_jumps_back_cost_no_later_scan(ahead):
-    of, scan, found = detector(), scan_of(POSTS, sigma=0.005), []
+    stream, scan, found = detector(), scan_of(POSTS, sigma=0.005), []
     for k in range(60):
         # Twice the same three seconds.
         stamp = 100 * NS + (k % 30) * NS // 10
-        of.add_odometry(Odometry('r1', stamp, np.zeros(3), None))
+        stream.add_odometry(Odometry('r1', stamp, np.zeros(3), None))
         if k == 10 and ahead:
-            of.add_odometry(Odometry('r1', ahead * NS, np.zeros(3), None))
-        of.add_scan(StampedScan(stamp, scan, np.zeros(3)))
-        found += of.take()
+            stream.add_odometry(Odometry('r1', ahead * NS, np.zeros(3), None))
+        stream.add_scan(StampedScan(stamp, scan, np.zeros(3)))
+        found += stream.take()
 
     # The one at the stamp far ahead waits for odometry that never comes.
-    assert (of.scans, len(found)) == (60, 60)
-    assert of.restarts == (2 if ahead else 1)
-    assert of.without_odometry <= 1
+    assert (stream.scans, len(found)) == (60, 60)
+    assert stream.restarts == (2 if ahead else 1)
+    assert stream.without_odometry <= 1

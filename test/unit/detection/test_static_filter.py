@@ -45,39 +45,39 @@ def test_a_leg_that_stands_for_half_a_second_never_passes():
 
 
 def test_a_landmark_that_was_hidden_passes_at_once_when_it_is_seen_again():
-    here = np.array([3.0, 1.0])
-    track = [(t, here) for t in [*np.arange(20) / 10.0, 5.0, 5.1]]
+    post = np.array([3.0, 1.0])
+    track = [(t, post) for t in [*np.arange(20) / 10.0, 5.0, 5.1]]
 
     assert passed(track)[-2:] == [True, True]
 
 
 def test_half_a_post_counts_only_where_a_landmark_is_known():
-    static, here = StaticFilter(round(0.8 * NS)), np.array([[3.0, 1.0]])
+    static, post = StaticFilter(round(0.8 * NS)), np.array([[3.0, 1.0]])
     unsure = np.array([False])
 
     assert not any(
-        static.are_static(round(t * NS), here, R, unsure, ORIGIN)[0] for t in (0.0, 0.5, 1.0, 1.5))
+        static.are_static(round(t * NS), post, R, unsure, ORIGIN)[0] for t in (0.0, 0.5, 1.0, 1.5))
     for t in np.arange(20, 40) / 10.0:
-        static.are_static(round(t * NS), here, R, CERTAIN, ORIGIN)
-    assert static.are_static(4 * NS, here, R, unsure, ORIGIN)[0]
+        static.are_static(round(t * NS), post, R, CERTAIN, ORIGIN)
+    assert static.are_static(4 * NS, post, R, unsure, ORIGIN)[0]
 
 
 def test_what_too_few_beams_meet_is_not_used_for_a_second():
-    static, here, nothing = StaticFilter(0), np.array([[3.0, 1.0]]), np.empty((0, 2))
+    static, post, nothing = StaticFilter(0), np.array([[3.0, 1.0]]), np.empty((0, 2))
     certain, thin = [], []
     for k in range(30):
         stamp = k * NS // 10
-        static.are_static(stamp, here, R, CERTAIN, ORIGIN)
+        static.are_static(stamp, post, R, CERTAIN, ORIGIN)
         # Once by its own beams, and once by others beside its place.
-        beside = here + np.array([0.1, 0.2]) if k == 16 else nothing
-        thin.append(bool(static.are_thin(stamp, here, np.array([k == 4]), beside)[0]))
+        beside = post + np.array([0.1, 0.2]) if k == 16 else nothing
+        thin.append(bool(static.are_thin(stamp, post, np.array([k == 4]), beside)[0]))
         certain.append(k)
 
     assert [k for k, is_thin in zip(certain, thin) if is_thin] == [*range(4, 14), *range(16, 26)]
 
 
 def test_something_thin_elsewhere_changes_nothing():
-    static, here = StaticFilter(0), np.array([[3.0, 1.0]])
-    static.are_static(0, here, R, CERTAIN, ORIGIN)
+    static, post = StaticFilter(0), np.array([[3.0, 1.0]])
+    static.are_static(0, post, R, CERTAIN, ORIGIN)
 
-    assert not static.are_thin(0, here, np.array([False]), here + np.array([0.5, 0.0]))[0]
+    assert not static.are_thin(0, post, np.array([False]), post + np.array([0.5, 0.0]))[0]

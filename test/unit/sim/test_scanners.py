@@ -154,7 +154,7 @@ def test_observation_windows_do_not_change_other_noise(name):
         for settings in (environment.world, alone)]
 
     for kind in (Odometry, Scan):
-        watched, unwatched = ([fingerprint(r) for r in of_kind(made, kind)] for made in runs)
+        watched, unwatched = ([fingerprint(r) for r in of_kind(records, kind)] for records in runs)
         assert watched == unwatched
     assert not of_kind(runs[1], RobotScan)
 
@@ -162,5 +162,5 @@ def test_observation_windows_do_not_change_other_noise(name):
 def test_the_same_seed_gives_the_same_bits_and_another_does_not():
     (_, one), (_, again), (_, other) = (run('map_joining', seed) for seed in (3, 3, 4))
 
-    prints = [[fingerprint(r) for r in of_kind(made, Scan)] for made in (one, again, other)]
+    prints = [[fingerprint(r) for r in of_kind(records, Scan)] for records in (one, again, other)]
     assert prints[0] == prints[1] != prints[2]

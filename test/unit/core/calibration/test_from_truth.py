@@ -27,7 +27,7 @@ def simulated(seed, **changes):
 
 def scales(records, **changes):
     errors = normalized_errors(records, team(**changes))
-    return {kind: noise_scales(of, DOF[kind]) for kind, of in errors.items()}
+    return {kind: noise_scales(values, DOF[kind]) for kind, values in errors.items()}
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])

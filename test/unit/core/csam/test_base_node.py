@@ -47,7 +47,7 @@ def test_information_of_the_map_says_the_same_of_poses_as_one_in_their_frame(pos
     kept = joint.information(range(len(joint.values.poses)))
 
     exact, derived = (
-        joint.rendezvous_information(np.array(poses), of) for of in (None, kept))
+        joint.rendezvous_information(np.array(poses), information) for information in (None, kept))
 
     assert (derived.middle, derived.start) == (exact.middle, exact.start)
     assert_array_equal(derived.poses, exact.poses)

@@ -77,7 +77,7 @@ def test_an_observation_of_a_robot_is_kept_if_either_has_moved():
 def test_at_distance_0_all_poses_are_kept():
     every, poses = smoothed(RECORDS, 0.0, solved=False)
 
-    assert sum(len(of.stamps) for of in every.trajectories.values()) == len(poses)
+    assert sum(len(trajectory.stamps) for trajectory in every.trajectories.values()) == len(poses)
     assert every.between_keyframes.total() == 0
 
 
@@ -100,13 +100,13 @@ def test_odometry_between_keyframes_is_lossless():
     stamps = {*kept.trajectories['r1'].stamps}
     every, _ = smoothed([r for r in own if not isinstance(r, Scan) or r.stamp in stamps], 0.0)
 
-    expected = {of.stamp: of for of in every.trajectories['r1'].estimates()}
-    for of in kept.trajectories['r1'].estimates():
-        theirs = expected[of.stamp]
+    expected = {estimate.stamp: estimate for estimate in every.trajectories['r1'].estimates()}
+    for estimate in kept.trajectories['r1'].estimates():
+        theirs = expected[estimate.stamp]
         # A hundredth of sigma: the covariance of a motion depends on the headings in it.
         sigma = np.sqrt(np.diag(theirs.P)) + 1e-9
-        assert_allclose(pose_difference(of.pose, theirs.pose) / sigma, 0.0, atol=0.03)
-        assert_allclose((of.P - theirs.P) / np.outer(sigma, sigma), 0.0, atol=0.02)
+        assert_allclose(pose_difference(estimate.pose, theirs.pose) / sigma, 0.0, atol=0.03)
+        assert_allclose((estimate.P - theirs.P) / np.outer(sigma, sigma), 0.0, atol=0.02)
 
 
 def test_before_a_solution_the_newest_pose_has_all_observations():
@@ -124,20 +124,21 @@ def test_the_newest_pose_stays_where_it_is_when_a_solution_is_adopted():
     smoother, poses = smoothed(RECORDS, 3.0, solved=False)
     newest = {pose.robot: pose for pose in poses}
     passed = [
-        name for name, of in smoother.trajectories.items() if newest[name].stamp > of.stamps[-1]]
+        name for name, trajectory in smoother.trajectories.items()
+        if newest[name].stamp > trajectory.stamps[-1]]
     assert passed
 
     smoother.adopt(solve(smoother.task()))
 
     for name in passed:
-        of = smoother.trajectories[name]
-        *_, last = of.estimates()
+        trajectory = smoother.trajectories[name]
+        *_, last = trajectory.estimates()
         increments = [
             r.pose for r in RECORDS if getattr(r, 'robot', '') == name
             and r.stamp in (last.stamp, newest[name].stamp) and hasattr(r, 'twist_covariance')]
-        assert of.newest().stamp == newest[name].stamp
+        assert trajectory.newest().stamp == newest[name].stamp
         assert_allclose(
-            between(last.pose, of.newest().pose), between(*increments), atol=1e-9)
+            between(last.pose, trajectory.newest().pose), between(*increments), atol=1e-9)
 
 
 def test_solutions_with_keyframes_are_consistent():

@@ -101,16 +101,16 @@ def test_the_result_does_not_depend_on_intermediate_solutions():
 
 def test_the_anchor_pose_transforms_the_joint_map():
     at = (3.0, -2.0, 2.0)
-    here, _ = smoothed()
-    there, _ = smoothed(settings=team(anchor_pose=at))
+    reference, _ = smoothed()
+    displaced, _ = smoothed(settings=team(anchor_pose=at))
 
-    assert_allclose(final_poses(there, 'r1')[0], at, atol=1e-12)
+    assert_allclose(final_poses(displaced, 'r1')[0], at, atol=1e-12)
     for name in ('r1', 'r2'):
-        moved = turn(at[2]) @ final_poses(here, name)[:, :2].T + np.array([at[:2]]).T
-        assert_allclose(final_poses(there, name)[:, :2], moved.T, atol=1e-7)
+        moved = turn(at[2]) @ final_poses(reference, name)[:, :2].T + np.array([at[:2]]).T
+        assert_allclose(final_poses(displaced, name)[:, :2], moved.T, atol=1e-7)
     here_P, there_P = (
         [estimate.P for estimate in smoother.trajectories['r2'].estimates()][-1]
-        for smoother in (here, there))
+        for smoother in (reference, displaced))
     assert_allclose(
         there_P[:2, :2], turn(at[2]) @ here_P[:2, :2] @ turn(at[2]).T, rtol=1e-6, atol=1e-9)
 

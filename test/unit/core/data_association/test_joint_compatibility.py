@@ -107,14 +107,14 @@ def test_neither_the_order_of_observations_nor_that_of_landmarks_matters(seed):
     rng = np.random.default_rng(seed)
     state, robot, seen = random_scan(rng, landmarks=6, seen=6)
     matched, new, doubtful = match(state, robot, seen)
-    order, of = rng.permutation(6), rng.permutation(6)
-    variables = [robot, *(list(state.landmarks.values())[k] for k in of)]
+    order, landmark_order = rng.permutation(6), rng.permutation(6)
+    variables = [robot, *(list(state.landmarks.values())[k] for k in landmark_order)]
     other, same_robot = a_map(
-        state.x_hat[3:].reshape(-1, 2)[of], state.marginal(variables))
+        state.x_hat[3:].reshape(-1, 2)[landmark_order], state.marginal(variables))
 
     again = match(other, same_robot, [seen[k] for k in order])
 
-    assert {(order[i], of[f]) for i, f in again[0].items()} == {*matched.items()}
+    assert {(order[i], landmark_order[f]) for i, f in again[0].items()} == {*matched.items()}
     assert [sorted(order[found]) for found in map(list, again[1:])] == [new, doubtful]
 
 

@@ -38,8 +38,8 @@ def in_both_ways(monkeypatch, filter_, scans, block):
     results = []
     for size in (10_000, block):
         divided(monkeypatch, size)
-        of = deepcopy(filter_)
-        results.append((of, of.update(of.start_landmarks(scans))))
+        copy = deepcopy(filter_)
+        results.append((copy, copy.update(copy.start_landmarks(scans))))
     return results
 
 

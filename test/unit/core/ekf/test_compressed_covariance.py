@@ -36,12 +36,12 @@ REGION = np.arange(13)
 def whole_and_region(rng):
     """Return a covariance of everything, the same in a region, and the slots of both."""
     P = random_covariance(rng, sum(SIZES))
-    made = []
+    covariances = []
     for _ in range(2):
         covariance = Covariance()
         slots = covariance.insert(P).split(SIZES)
-        made.append(covariance)
-    return made[0], CompressedCovariance(made[1], REGION), slots
+        covariances.append(covariance)
+    return covariances[0], CompressedCovariance(covariances[1], REGION), slots
 
 
 def happen(covariance, slots, rng):
@@ -198,10 +198,10 @@ def run(town, regions, linearization):
 
 @pytest.mark.parametrize('linearization', [FirstEstimates, Standard])
 def test_a_filter_with_submaps_equals_the_full_filter_over_two_thousand_steps(linearization):
-    made = town(landmarks=250, steps=2000, seed=1)
+    scenario = town(landmarks=250, steps=2000, seed=1)
 
-    whole, _ = run(made, WHOLE_MAP, linearization())
-    compressed, entered = run(made, ActiveSubmap(200, 15), linearization())
+    whole, _ = run(scenario, WHOLE_MAP, linearization())
+    compressed, entered = run(scenario, ActiveSubmap(200, 15), linearization())
 
     assert entered > 20
     assert len(whole.state.landmarks) > 150
@@ -213,15 +213,15 @@ def test_a_filter_with_submaps_equals_the_full_filter_over_two_thousand_steps(li
 
 
 def test_reading_estimates_changes_no_bit():
-    made = town(landmarks=150, steps=300, seed=2)
-    start, happened = made
+    scenario = town(landmarks=150, steps=300, seed=2)
+    start, happened = scenario
     asked, _ = run((start, []), ActiveSubmap(100, 10), FirstEstimates())
 
     for motions, scans in happened:
         asked.step(motions, scans)
         asked.state.estimates()
         asked.state.marginal(asked.state.variables())
-    silent, _ = run(made, ActiveSubmap(100, 10), FirstEstimates())
+    silent, _ = run(scenario, ActiveSubmap(100, 10), FirstEstimates())
 
     assert_array_equal(asked.state.estimates(), silent.state.estimates())
     assert_array_equal(*(
@@ -236,8 +236,8 @@ def test_removed_variables_do_not_end_a_submap_and_change_no_other():
     submap = compressed.state.covariance
     assert isinstance(submap, CompressedCovariance)
     is_inside = [
-        submap._contains(of.slot.indices)  # noqa: SLF001
-        for of in compressed.state.landmarks.values()]
+        submap._contains(landmark.slot.indices)  # noqa: SLF001
+        for landmark in compressed.state.landmarks.values()]
     removed = [*compressed.state.landmarks][::3]
     assert 0 < sum(is_inside[::3]) < len(removed)
 
@@ -275,9 +275,9 @@ def two_robots(start, **chosen):
     return Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1', anchor, **chosen)
 
 
-def coming_and_going(made, prior=None, **chosen):
+def coming_and_going(scenario, prior=None, **chosen):
     """Return an estimator whose second robot comes late, leaves and comes back."""
-    start, happened = made
+    start, happened = scenario
     settings = two_robots(start, **chosen)
     team = Estimator(settings, prior)
     in_regions = 0
@@ -311,10 +311,10 @@ def same_frames(whole, compressed):
 ], ids=str)
 def test_robots_join_and_leave_with_submaps_as_with_the_whole_state(monkeypatch, chosen):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
-    made = town(landmarks=120, steps=500, seed=5)
+    scenario = town(landmarks=120, steps=500, seed=5)
 
-    compressed, in_regions = coming_and_going(made, **chosen)
-    whole, _ = coming_and_going(made, compressed=False, **chosen)
+    compressed, in_regions = coming_and_going(scenario, **chosen)
+    whole, _ = coming_and_going(scenario, compressed=False, **chosen)
 
     assert in_regions > 50
     assert compressed.groups.not_in_map == whole.groups.not_in_map == {}
@@ -323,13 +323,13 @@ def test_robots_join_and_leave_with_submaps_as_with_the_whole_state(monkeypatch,
 
 def test_a_prior_map_is_updated_in_submaps(monkeypatch):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
-    made = town(landmarks=400, steps=450, seed=6)
+    scenario = town(landmarks=400, steps=450, seed=6)
     known = np.random.default_rng(6).uniform(0.0, np.sqrt(20.0 * 400), (400, 2))
     P = random_covariance(np.random.default_rng(7), 800) / 400.0
     prior = PriorMap(tuple(range(400)), known, P)
 
-    compressed, in_regions = coming_and_going(made, prior)
-    whole, _ = coming_and_going(made, prior, compressed=False)
+    compressed, in_regions = coming_and_going(scenario, prior)
+    whole, _ = coming_and_going(scenario, prior, compressed=False)
 
     assert in_regions > 50
     same_frames(whole, compressed)

@@ -50,9 +50,9 @@ def test_a_step_is_predict_then_start_then_update(kind):
     assert_array_equal(covariance(at_once.state), covariance(in_parts.state))
 
 
-def in_frame_of(x, by, of):
-    """Return where the robot whose pose is at `by` sees the point at `of` of a joint vector."""
-    return turn(x[by + 2]).T @ (x[of:of + 2] - x[by:by + 2])
+def in_frame_of(x, robot, point):
+    """Return where the robot at index `robot` of a joint vector sees the point at `point`."""
+    return turn(x[robot + 2]).T @ (x[point:point + 2] - x[robot:robot + 2])
 
 
 def iterated_update(x_prior, P, observations, iterations):
@@ -62,7 +62,7 @@ def iterated_update(x_prior, P, observations, iterations):
     R = block_diag(*(observation.R for *_, observation in observations))
 
     def h(x):
-        return np.concatenate([in_frame_of(x, by, of) for by, of, _ in observations])
+        return np.concatenate([in_frame_of(x, robot, point) for robot, point, _ in observations])
 
     for _ in range(iterations):
         H = central_differences(h, x)
@@ -200,5 +200,5 @@ def test_landmarks_of_the_first_scan_are_trusted_and_later_ones_are_not():
     filter_.start_landmarks([team.look('r1', [2, 3, 4])])
 
     landmarks = filter_.state.landmarks.values()
-    assert [(of.key[1], of.is_trusted) for of in landmarks] == [
+    assert [(landmark.key[1], landmark.is_trusted) for landmark in landmarks] == [
         (0, True), (1, True), (2, True), (3, False), (4, False)]

@@ -49,22 +49,22 @@ SCHEDULE = [
 @pytest.fixture
 def calls(monkeypatch):
     """Return the arguments of all calls of each model, in order."""
-    made = defaultdict(list)
+    history = defaultdict(list)
 
     def spied(name, model):
         def call(*arguments):
-            made[name].append(arguments)
+            history[name].append(arguments)
             return model(*arguments)
         return call
 
     G, transition = models.G, KERNEL.Phi
 
     def Phi(x, x_next):
-        made['Phi'].append((x_next[:2] - x[:2],))
+        history['Phi'].append((x_next[:2] - x[:2],))
         return transition(x, x_next)
 
     def moved(x, u, Q):
-        made['G'].append((x[2],))
+        history['G'].append((x[2],))
         return models.f(x, u), G(x[2]) @ Q @ G(x[2]).T
 
     for name in ('G', 'F'):
@@ -73,7 +73,7 @@ def calls(monkeypatch):
         monkeypatch.setattr(KERNEL, name, spied(name, getattr(KERNEL, name)))
     monkeypatch.setattr(KERNEL, 'Phi', Phi)
     monkeypatch.setattr(KERNEL, 'moved', moved)
-    return made
+    return history
 
 
 class Journey:

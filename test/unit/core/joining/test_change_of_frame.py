@@ -142,9 +142,9 @@ def looking(state, linearization, name, pose):
 
 @pytest.mark.parametrize('policy', [Standard, FirstEstimates, Invariant])
 def test_a_robot_joins_whose_heading_wandered_before_it_saw_anything(policy):
-    here, there = np.array([18.0, 0.0, 0.0]), np.array([18.0, 1.0, 0.2])
+    pose_1, pose_2 = np.array([18.0, 0.0, 0.0]), np.array([18.0, 1.0, 0.2])
     known, wandering = JointState(), JointState()
-    known.insert_robot('r1', 40, here, 1e-4 * np.eye(3))
+    known.insert_robot('r1', 40, pose_1, 1e-4 * np.eye(3))
     wandering.insert_robot('r2', 0, np.zeros(3), np.zeros((3, 3)))
     # It says straight on for 20 m, to 0.3 rad in the end.
     Q = np.diag([1e-4, 1e-4, 0.3**2 / 40])
@@ -152,11 +152,11 @@ def test_a_robot_joins_whose_heading_wandered_before_it_saw_anything(policy):
         Filter(wandering, policy(), Gate(1.0)).predict(
             Motion('r2', stamp, np.array([0.5, 0.0, 0.0]), Q))
     team, group = (
-        looking(known, policy(), 'r1', here), looking(wandering, policy(), 'r2', there))
+        looking(known, policy(), 'r1', pose_1), looking(wandering, policy(), 'r2', pose_2))
     assert np.sqrt(fit(team.state, group.state).P[2, 2]) > Settings.join_heading_sigma
 
     assert MapJoiner(3, 0.999).join(team, group) is None
 
     # Observations without an error put it where it is; the fit ends at 1e-10.
     pose = team.state.estimate(team.state.robots['r2'])
-    assert_allclose(pose_difference(pose, there), 0.0, atol=1e-9)
+    assert_allclose(pose_difference(pose, pose_2), 0.0, atol=1e-9)

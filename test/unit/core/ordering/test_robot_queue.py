@@ -215,8 +215,9 @@ def test_scans_of_one_stamp_have_a_limited_number_of_observations_together():
     queue = queue_of(odometry('r1', 0))
 
     rejected = [
-        queue.accept(of, 10)
-        for of in (crowd(50, 6), crowd(50, 5, 100), crowd(50, 6), crowd(60, 10), crowd(50, 4, 50))]
+        queue.accept(record, 10)
+        for record in (
+            crowd(50, 6), crowd(50, 5, 100), crowd(50, 6), crowd(60, 10), crowd(50, 4, 50))]
 
     assert rejected == [
         None, RejectionReason.TOO_LARGE, RejectionReason.DUPLICATE, None, None]
@@ -225,7 +226,7 @@ def test_scans_of_one_stamp_have_a_limited_number_of_observations_together():
 def test_the_oldest_scans_beyond_the_limit_of_observations_are_taken():
     queue = queue_of(*(crowd(ms, 4) for ms in (0, 1, 2, 3)))
 
-    assert [of.stamp for of in queue.take_surplus_scans(observations=10)] == [0, MS]
+    assert [surplus.stamp for surplus in queue.take_surplus_scans(observations=10)] == [0, MS]
     assert queue.take_surplus_scans(observations=10) == []
     assert queue.accept(crowd(0, 4)) is None
 
@@ -233,13 +234,13 @@ def test_the_oldest_scans_beyond_the_limit_of_observations_are_taken():
 def test_a_single_scan_may_be_above_the_limit_of_observations():
     queue = queue_of(crowd(0, 4), crowd(1, 12))
 
-    assert [of.stamp for of in queue.take_surplus_scans(observations=10)] == [0]
+    assert [surplus.stamp for surplus in queue.take_surplus_scans(observations=10)] == [0]
     assert queue.waiting() == 1
 
 
 def test_of_large_scans_the_newest_stays():
     queue = queue_of(crowd(0, 8), crowd(1, 2), crowd(2, 8), crowd(3, 8), crowd(4, 2))
 
-    assert [of.stamp for of in queue.take_surplus_scans(1, size=5)] == [0, 2 * MS]
+    assert [surplus.stamp for surplus in queue.take_surplus_scans(1, size=5)] == [0, 2 * MS]
     assert queue.take_surplus_scans(1, size=5) == []
     assert queue.waiting() == 3

@@ -363,8 +363,8 @@ def random_arrivals(seed):
 def test_steps_come_out_as_if_every_record_were_followed_by_a_question_to_all_robots(seed):
     (sequencer, _), (asking, _) = (sequencer_of('r1', 'r2', 'r3') for _ in range(2))
     for record in random_arrivals(seed):
-        for of in (sequencer, asking):
-            of.add(record, None)
+        for receiver in (sequencer, asking):
+            receiver.add(record, None)
         # After this it has to ask all robots.
         asking.resume()
 

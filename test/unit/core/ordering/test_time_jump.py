@@ -96,7 +96,7 @@ def test_the_next_run_keeps_the_ground_truth_map():
     assert set(run.estimator.truth.landmarks) == {1, 2, 3}
 
 
-def of(robot, messages):
+def messages_of(robot, messages):
     return [message for message in messages if message.topic.startswith(robot)]
 
 
@@ -105,9 +105,11 @@ def of(robot, messages):
 def test_data_of_a_single_robot_that_jumps_back_are_late_and_the_others_continue(robot, option):
     """Its clock jumps by 2.5 s, or its driver starts again with old stamps."""
     first, rest = PASS[:120], PASS[120:]
-    again = of(robot, PASS)[10:]
-    mixed = [m for pair in zip(rest, later(again, 0.0)) for m in pair if m not in of(robot, rest)]
-    expected, = runs_of([*first, *(m for m in rest if m not in of(robot, rest))])
+    again = messages_of(robot, PASS)[10:]
+    mixed = [
+        m for pair in zip(rest, later(again, 0.0)) for m in pair
+        if m not in messages_of(robot, rest)]
+    expected, = runs_of([*first, *(m for m in rest if m not in messages_of(robot, rest))])
 
     run, = runs_of([*first, *mixed], on_time_jump=option)
 
@@ -119,7 +121,7 @@ def test_data_of_a_single_robot_that_jumps_back_are_late_and_the_others_continue
 @pytest.mark.parametrize('option', ['refuse', 'reset'])
 def test_data_delayed_by_a_link_failure_are_no_jump(option):
     """All of r2's odometry comes 3 s late, then all of its scans, which are behind it."""
-    held_back = [m for m in of('r2', PASS) if m.received > 500 * MS]
+    held_back = [m for m in messages_of('r2', PASS) if m.received > 500 * MS]
     odometry = [m for m in held_back if m.topic.endswith('odom')]
     scans = [m for m in held_back if not m.topic.endswith('odom')]
     in_time = [m for m in PASS if m not in held_back]
@@ -166,7 +168,7 @@ def test_the_jump_of_a_single_robot_is_certain_when_others_have_continued():
     run = EstimatorSession(run_settings(), None)
 
     rejected = []
-    for message in [*PASS, *of('r1', PASS)[:20], *ahead]:
+    for message in [*PASS, *messages_of('r1', PASS)[:20], *ahead]:
         run.receive(message)
         rejected.append(counts(run))
 
@@ -177,7 +179,7 @@ def test_the_jump_of_a_single_robot_is_certain_when_others_have_continued():
 
 def test_a_jump_of_all_robots_is_detected_after_that_of_a_single_robot():
     ahead = [raw_record(odometry('r2', ms)) for ms in range(4100, 5300, 100)]
-    alone = of('r1', PASS)
+    alone = messages_of('r1', PASS)
 
     _, run = runs_of(
         [*PASS, *alone[2:20], *ahead, *alone[20:40], *PASS], on_time_jump='reset')
@@ -194,7 +196,7 @@ def test_old_messages_at_the_end_of_the_input_are_late_and_no_jump():
 
 
 def test_a_jump_needs_all_robots_that_sent_odometry():
-    without_r2 = of('r1', PASS)
+    without_r2 = messages_of('r1', PASS)
 
     run, = runs_of([*PASS, *later(without_r2)], on_time_jump='reset')
 

@@ -30,7 +30,7 @@ def measurements(seed=0):
 
 def plain(record):
     """Return all values of a record, to the last bit."""
-    values = {of.name: getattr(record, of.name) for of in fields(record)}
+    values = {field.name: getattr(record, field.name) for field in fields(record)}
     return type(record), {
         name: value.tobytes() if isinstance(value, np.ndarray)
         else tuple(map(plain, value)) if isinstance(value, tuple) else value

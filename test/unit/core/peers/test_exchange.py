@@ -39,7 +39,7 @@ def known(robot, author):
     return [identity(record) for record in robot.logs.contents(author).measurements()]
 
 
-def of(records):
+def identities(records):
     return [identity(record) for record in records]
 
 
@@ -53,7 +53,7 @@ def test_everything_arrives_once_over_a_link_that_loses_and_repeats(loss, repeat
 
     for robot in robots.values():
         assert {name: known(robot, name) for name in robots} == {
-            name: of(records) for name, records in driven.items()}
+            name: identities(records) for name, records in driven.items()}
         assert robot.exchange.is_complete(radio.now)
     # A lost packet is sent again, and little else.
     sent = sum(robot.exchange.bytes_sent['block'] for robot in robots.values())
@@ -69,7 +69,7 @@ def test_what_is_measured_while_in_reach_arrives_within_two_periods():
 
     radio.run(1.1)
 
-    assert known(robots['q'], 'p') == of(driven)
+    assert known(robots['q'], 'p') == identities(driven)
 
 
 def test_logs_reach_robots_that_never_meet_their_author_and_only_what_is_new_is_sent():
@@ -81,12 +81,12 @@ def test_logs_reach_robots_that_never_meet_their_author_and_only_what_is_new_is_
     assert known(robots['r'], 'p') == []
     radio.run(6.0, lambda a, b: {a, b} == {'q', 'r'})
 
-    assert known(robots['r'], 'p') == of(driven)
+    assert known(robots['r'], 'p') == identities(driven)
     before = radio.bytes.copy()
     more = drive(robots['p'], first=100, count=2, seed=5)
     # A triangle: the same blocks are offered from two sides.
     radio.run(6.0)
-    assert known(robots['r'], 'p') == known(robots['q'], 'p') == of(driven + more)
+    assert known(robots['r'], 'p') == known(robots['q'], 'p') == identities(driven + more)
     hellos = 3 * 12 * 220
     assert (radio.bytes - before).total() < 2_500 + hellos
 
@@ -164,7 +164,7 @@ def test_messages_of_yesterday_change_nothing():
 
     assert rejected == {MessageRejection.OLD_RUN}
     radio.run(5.0)
-    assert known(robots['q'], 'p') == of(driven)
+    assert known(robots['q'], 'p') == identities(driven)
 
 
 def test_a_robot_that_begins_afresh_is_given_everything_again():
@@ -176,7 +176,7 @@ def test_a_robot_that_begins_afresh_is_given_everything_again():
 
     radio.run(3.0)
 
-    assert known(robots['q'], 'p') == of(driven)
+    assert known(robots['q'], 'p') == identities(driven)
 
 
 def test_a_robot_that_is_not_a_peer_is_rejected_by_name():
@@ -205,7 +205,7 @@ def test_random_changes_of_messages_are_rejected_and_the_rest_arrives():
     radio = Radio(robots, rng, damage=damaged)
     radio.run(20.0)
 
-    assert known(robots['q'], 'p') == of(driven)
+    assert known(robots['q'], 'p') == identities(driven)
     assert radio.rejected.keys() <= {
         MessageRejection.CORRUPT, MessageRejection.TRUNCATED, MessageRejection.OTHER_VERSION}
     assert radio.rejected.total() > 10
@@ -245,7 +245,7 @@ def test_hellos_are_heard_again_after_the_clock_of_a_robot_has_gone_back():
 
     radio.run(5.0)
 
-    assert known(robots['q'], 'p') == of(driven)
+    assert known(robots['q'], 'p') == identities(driven)
     assert robots['p'].exchange.bytes_sent['block'] < 1.1 * robots['p'].logs.size()
 
 

@@ -63,6 +63,6 @@ def test_what_a_robot_has_of_many_logs_is_told_in_several_messages():
     messages = [*hellos('p', 1, 2, known)]
 
     assert max(map(len, messages)) <= MAX_SIZE
-    told = [of for data in messages for of in read(data).known]
+    told = [entry for data in messages for entry in read(data).known]
     assert told == known
     assert {read(data).logs for data in messages} == {100}

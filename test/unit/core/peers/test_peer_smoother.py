@@ -48,7 +48,7 @@ def test_a_scan_that_was_in_flight_is_used_with_the_landmarks_known_before():
     central.adopt(solve(central.task()))
 
     newest, smoothed = own.trajectories['r1'].newest(), [*central.trajectories['r1'].estimates()]
-    expected = next(of for of in smoothed if of.stamp == newest.stamp)
+    expected = next(estimate for estimate in smoothed if estimate.stamp == newest.stamp)
     # The filter linearises where it is, on a nearly noise-free path: a percent.
     assert_allclose(np.diag(newest.P), np.diag(expected.P), rtol=0.01)
 
@@ -73,11 +73,11 @@ def test_with_keyframes_the_own_trajectory_is_that_of_the_union():
     union = smoothed_union(own.union_task())
     own.adopt_union(union)
 
-    expected = {of.stamp: of for of in union.trajectories['r1'].estimates()}
+    expected = {estimate.stamp: estimate for estimate in union.trajectories['r1'].estimates()}
     kept = [*own.trajectories['r1'].estimates()]
     assert 9 <= len(kept) < len(expected)
-    for of in kept:
-        assert_allclose(of.pose, expected[of.stamp].pose, rtol=0.0, atol=1e-12)
-        assert_allclose(of.P, expected[of.stamp].P, rtol=0.0, atol=1e-12)
+    for estimate in kept:
+        assert_allclose(estimate.pose, expected[estimate.stamp].pose, rtol=0.0, atol=1e-12)
+        assert_allclose(estimate.P, expected[estimate.stamp].P, rtol=0.0, atol=1e-12)
     # The newest pose is not kept, and still the newest.
     assert own.trajectories['r1'].newest().stamp > kept[-1].stamp

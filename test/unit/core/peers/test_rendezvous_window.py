@@ -112,9 +112,9 @@ def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
     robots['p'].meet('q')
     message = b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks)
 
-    of = read(message, 'p', 'q')
+    window = read(message, 'p', 'q')
 
-    assert write(of) == message
+    assert write(window) == message
     for size in range(1, len(message)):
         with pytest.raises(BadBlockError):
             read(message[:size], 'p', 'q')
@@ -123,9 +123,9 @@ def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
 def test_information_with_numbers_that_are_not_finite_is_taken_for_none():
     robots, _ = met('map_joining')
     robots['p'].meet('q')
-    of = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
-    bad = write(replace(of, information=replace(
-        of.information, R_sqrt=np.nan * of.information.R_sqrt)))
+    window = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
+    bad = write(replace(window, information=replace(
+        window.information, R_sqrt=np.nan * window.information.R_sqrt)))
 
     task = replace(
         meeting_task(robots['q'].logs, robots['q'].settings, 'p'), received=bad)
@@ -136,11 +136,11 @@ def test_information_with_numbers_that_are_not_finite_is_taken_for_none():
 def test_poses_in_the_map_do_not_depend_on_the_frame_of_the_information():
     robots, _ = met('map_joining')
     robots['p'].meet('q')
-    of = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
+    window = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
 
     # Row by row, the poses relative to the first of them.
-    stored = [between(of.information.poses[0], pose) for pose in of.information.poses]
-    in_map = [of.information.in_map(row) for row in range(len(of.stamps))]
+    stored = [between(window.information.poses[0], pose) for pose in window.information.poses]
+    in_map = [window.information.in_map(row) for row in range(len(window.stamps))]
 
     assert_allclose([compose(in_map[0], pose) for pose in stored], in_map, atol=1e-12)
 

@@ -209,6 +209,7 @@ def test_a_restarted_robot_continues_its_run():
     logs = receiver()
     for block in [*stored, *blocks_of(restarted)]:
         logs.add(block)
-    known, stored_by_q = (of.contents('q').measurements() for of in (logs, restarted))
+    known, stored_by_q = (
+        team_logs.contents('q').measurements() for team_logs in (logs, restarted))
     assert contents(known) == contents(stored_by_q)
     assert restarted.take_new_blocks()[0].number == len(stored)

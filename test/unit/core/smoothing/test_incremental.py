@@ -128,7 +128,7 @@ def test_the_newest_pose_and_its_covariance_are_those_of_batch_least_squares(sol
 def test_the_newest_pose_is_consistent_between_solutions():
     runs = [grown(seed, steps=25, noise=0.5, solve_every=15) for seed in range(200)]
 
-    errors = np.array([pose_difference(of.pose, true[-1]) for of, true, _ in runs])
+    errors = np.array([pose_difference(smoother.pose, true[-1]) for smoother, true, _ in runs])
     P = np.array([smoother.P for smoother, _, _ in runs])
 
     # Errors are half of what covariances state. The mean of 200 runs has a sigma of 0.06.

@@ -114,9 +114,10 @@ def test_a_problem_that_was_solved_before_gives_the_bits_of_a_new_one():
     information(problem, start, [2])
     solve(problem, start, tolerance=1e-3)
 
-    again, new = (solve(of, start) for of in (problem, replace(problem)))
+    again, new = (solve(instance, start) for instance in (problem, replace(problem)))
     P, P_new = (
-        information(of, again.values).joint([3], [1]) for of in (problem, replace(problem)))
+        information(instance, again.values).joint([3], [1])
+        for instance in (problem, replace(problem)))
 
     assert_array_equal(again.values.poses, new.values.poses)
     assert_array_equal(P, P_new)
@@ -156,10 +157,10 @@ def test_moving_everything_rigidly_moves_the_solution_with_it():
         positions, headings = values.poses[:, :2] @ turn(alpha).T + t, values.poses[:, 2] + alpha
         return Values(np.column_stack([positions, headings]), values.points @ turn(alpha).T + t)
 
-    here, there = solve(problem, truth), solve(problem, moved(truth))
+    solution, moved_solution = solve(problem, truth), solve(problem, moved(truth))
 
-    assert_same(there.values, moved(here.values), **SAME)
-    assert there.cost == pytest.approx(here.cost, rel=1e-12)
+    assert_same(moved_solution.values, moved(solution.values), **SAME)
+    assert moved_solution.cost == pytest.approx(solution.cost, rel=1e-12)
 
 
 def test_the_order_of_poses_landmarks_and_measurements_does_not_matter():

@@ -20,7 +20,7 @@ def solved_graph(records, **changes):
     for _ in smoother.close():
         pass
     smoother.adopt(solve(smoother.task()))
-    stamps = {name: of.stamps for name, of in smoother.trajectories.items()}
+    stamps = {name: trajectory.stamps for name, trajectory in smoother.trajectories.items()}
     return graph_of(smoother.task(), smoother.solution, stamps), smoother.solution
 
 

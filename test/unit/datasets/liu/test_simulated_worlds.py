@@ -116,9 +116,9 @@ def test_a_file_in_another_format_is_rejected(tmp_path, content):
     assert '\n' not in str(rejected.value)
 
 
-@pytest.mark.parametrize(('there', 'missing'), [(60, 20), (20, 60)])
-def test_a_missing_file_is_named_with_its_folder(tmp_path, there, missing):
-    write(tmp_path, 1, there, variables())
+@pytest.mark.parametrize(('present', 'missing'), [(60, 20), (20, 60)])
+def test_a_missing_file_is_named_with_its_folder(tmp_path, present, missing):
+    write(tmp_path, 1, present, variables())
 
     # The headings among 20 are in the file of 60.
     with pytest.raises(UserError) as rejected:

@@ -118,9 +118,9 @@ def test_a_clock_that_was_set_back_goes_on_as_true_poses_tell(back, when, right)
 
     found, seen, counts = ordered(*stepped, truth)
 
-    for of, expected in zip((found, seen), series):
-        np.testing.assert_array_equal(of.rows, expected.rows)
-        assert np.abs(of.stamps - expected.stamps).max() <= PERIOD * S
+    for result, expected in zip((found, seen), series):
+        np.testing.assert_array_equal(result.rows, expected.rows)
+        assert np.abs(result.stamps - expected.stamps).max() <= PERIOD * S
     (shifted,) = [reason for reason in counts if reason.startswith('row shifted by')]
     assert abs(float(shifted.split()[3])) == pytest.approx(back, abs=PERIOD)
 
@@ -133,12 +133,12 @@ def meetings(truth, other, subject):
         np.full(len(truth), subject), np.hypot(dx, dy), np.arctan2(dy, dx) - phi]))
 
 
-@pytest.mark.parametrize('by', ['itself', 'the other'])
+@pytest.mark.parametrize('observer', ['itself', 'the other'])
 @pytest.mark.parametrize('right', ['before', 'after'])
-def test_without_true_poses_the_robots_that_are_met_tell_which_clock_was_right(right, by):
+def test_without_true_poses_the_robots_that_are_met_tell_which_clock_was_right(right, observer):
     commands, landmarks, truth = drive(4, seconds=300.0)
     *other, other_truth = drive(9, seconds=300.0)
-    if by == 'itself':
+    if observer == 'itself':
         landmarks = joined([landmarks, meetings(truth, other_truth, 2)]).in_order()
     else:
         other[1] = joined([other[1], meetings(other_truth, truth, 1)]).in_order()
@@ -150,8 +150,8 @@ def test_without_true_poses_the_robots_that_are_met_tell_which_clock_was_right(r
 
     found, seen, counts = ordered(*stepped, others={2: ClockPart(*other)})
 
-    for of, expected in zip((found, seen), (commands, landmarks)):
-        assert np.abs(of.stamps - expected.stamps).max() <= PERIOD * S
+    for result, expected in zip((found, seen), (commands, landmarks)):
+        assert np.abs(result.stamps - expected.stamps).max() <= PERIOD * S
     (shifted,) = [reason for reason in counts if reason.startswith('row shifted by')]
     assert 'nothing tells' not in shifted
 

@@ -138,8 +138,8 @@ def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
     assert abs(offset - 0.03) < 3.0 * sigma < 0.01
     assert options.noise.bearing == pytest.approx(BEARING, rel=0.05)
     used, before = (
-        observations_used(data, 1, of, Counter()).rows[:, 2]
-        for of in (options, replace(options, bearing_offsets={})))
+        observations_used(data, 1, variant, Counter()).rows[:, 2]
+        for variant in (options, replace(options, bearing_offsets={})))
     np.testing.assert_allclose(used, before - offset, rtol=0.0, atol=1e-12)
 
 

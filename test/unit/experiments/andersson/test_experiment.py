@@ -30,13 +30,15 @@ def solved():
 
 @pytest.fixture(scope='module')
 def gains(solved):
-    return {task: experiment.gain(of.truth, of.maps, of.joint) for task, of in solved.items()}
+    return {
+        task: experiment.gain(solution.truth, solution.maps, solution.joint)
+        for task, solution in solved.items()}
 
 
-def seen_by(robot, made):
+def seen_by(robot, scenario):
     """Return the true landmarks that a robot has seen."""
     return {
-        made.truth.landmark_of[robot][observation.id] for scan in made.records
+        scenario.truth.landmark_of[robot][observation.id] for scan in scenario.records
         if isinstance(scan, Scan) and scan.robot == robot for observation in scan.observations}
 
 
@@ -52,9 +54,9 @@ def rated(e, P):
 
 
 def test_true_associations_are_the_landmarks_that_both_robots_observed():
-    made = scene(*B)
+    scenario = scene(*B)
 
-    assert experiment.run(B).shared == len(seen_by('p', made) & seen_by('q', made))
+    assert experiment.run(B).shared == len(seen_by('p', scenario) & seen_by('q', scenario))
 
 
 def test_found_associations_are_landmarks_with_ids_of_both_robots(solved, gains):
@@ -165,13 +167,13 @@ SEEDS = range(1, 6)
 MEASURED = Odometry, Scan, RobotScan
 
 
-def of_robot(made, kind, robot):
-    return [r for r in made.records if isinstance(r, kind) and r.robot == robot]
+def of_robot(scenario, kind, robot):
+    return [r for r in scenario.records if isinstance(r, kind) and r.robot == robot]
 
 
-def sigmas_alone(made, robot):
+def sigmas_alone(scenario, robot):
     """Return the standard deviations of the headings [rad] in the map of a robot alone."""
-    odometry, scans = (of_robot(made, kind, robot) for kind in (Odometry, Scan))
+    odometry, scans = (of_robot(scenario, kind, robot) for kind in (Odometry, Scan))
     smoother = IncrementalSmoother(scans[0].observations)
     for before, after, scan in zip(odometry, odometry[1:], scans[1:]):
         smoother.add(
@@ -206,8 +208,8 @@ def test_heading_sigmas_before_joining_are_those_of_an_independent_implementatio
 
 @pytest.mark.parametrize(('name', 'share'), [('map_joining', 0.8), ('sensor_extension', 0.3)])
 def test_both_robots_observe_a_large_part_of_the_landmarks(name, share):
-    for made in (scene(name, seed) for seed in SEEDS):
+    for scenario in (scene(name, seed) for seed in SEEDS):
         p, q = (
-            {made.truth.landmark_of[robot][s.id] for scan in scans for s in scan.observations}
-            for robot in 'pq' for scans in [of_robot(made, Scan, robot)])
+            {scenario.truth.landmark_of[robot][s.id] for scan in scans for s in scan.observations}
+            for robot in 'pq' for scans in [of_robot(scenario, Scan, robot)])
         assert len(p & q) >= share * len(p | q)

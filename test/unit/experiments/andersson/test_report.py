@@ -28,9 +28,9 @@ def gain(**changes):
         (40, 60)), **changes)
 
 
-def made_up(task, of, rejection_reason=''):
+def made_up(task, join_gain, rejection_reason=''):
     sizes = {'p': {'subset': 30, 'log': 20, 'map': 90}, 'q': {'subset': 10, 'log': 20, 'map': 90}}
-    return CsamRun(task, 10, sizes, of, rejection_reason)
+    return CsamRun(task, 10, sizes, join_gain, rejection_reason)
 
 
 @pytest.fixture
@@ -42,24 +42,24 @@ def runs():
 
 
 def test_entries_are_over_all_runs_and_say_what_is_met(runs):
-    made = report.entries(runs[:2])
+    table = report.entries(runs[:2])
 
-    assert {name: entry.value for name, entry in made.items()} == pytest.approx({
+    assert {name: entry.value for name, entry in table.items()} == pytest.approx({
         'joined': 50.0, 'found': 45.0, 'false': 10.0, 'touched': 50.0, 'nees_poses': 2.0,
         'nees_landmarks': 1.0, 'nees_base_node': 1.0, 'chi_square': 1.01, 'ratio_p': 0.5,
         'ratio_q': (sum(range(51)) + 50 * 50.0) / 5050.0, 'by_sample_p': 0.5,
         'by_sample_q': (50.0 + sum(50.0 / k for k in range(51, 101))) / 100.0,
         'not_worse_p': 100.0, 'not_worse_q': 100.0, 'worst_p': 0.5, 'worst_q': 1.0,
         'big_step': 0.5}, rel=1e-12)
-    assert [name for name, entry in made.items() if entry.is_met is False] == [
+    assert [name for name, entry in table.items() if entry.is_met is False] == [
         'found', 'false', 'touched', 'nees_poses', 'ratio_q']
     assert report.entries(runs[2:])['q_over_p'].is_met is False
 
 
 def test_runs_without_a_joined_one_have_no_associations(runs):
-    made = report.entries(runs[1:2])
+    table = report.entries(runs[1:2])
 
-    assert {name: entry.value for name, entry in made.items()} == {
+    assert {name: entry.value for name, entry in table.items()} == {
         'joined': 0.0, 'found': 0.0, 'false': 0.0, 'touched': 0.0}
     assert 'Seed 4 was not joined' in report.markdown(runs[1:2])
 

@@ -34,11 +34,11 @@ def test_a_cluster_gives_the_same_numbers(address):
     todo = table_tasks(worlds, seed=3, runs=range(1, 3))
 
     with cluster.dask(address) as executor:
-        there = list(in_order(executor, simulate, todo))
+        remote = list(in_order(executor, simulate, todo))
     with processes(2) as executor:
-        here = list(in_order(executor, simulate, todo))
+        local = list(in_order(executor, simulate, todo))
 
-    for a, b in zip(there, here, strict=True):
+    for a, b in zip(remote, local, strict=True):
         assert a.keys() == b.keys()
         for name in a:
             assert_array_equal(np.hstack([*a[name].poses.values()]),

@@ -60,33 +60,33 @@ def test_distances_include_the_variance_of_our_runs_and_of_the_2000(runs, varian
 
 
 def test_entries_are_means_over_runs_beside_the_printed_values():
-    made = entries({Configuration(1, 60): by_filter(1.0, 4.0, 4.0)})
+    table = entries({Configuration(1, 60): by_filter(1.0, 4.0, 4.0)})
 
-    assert list(made) == [
+    assert list(table) == [
         f'1/60/{name}/{entry}' for name in ('std', 'ideal', 'fej') for entry in ENTRIES]
-    nees, position = made['1/60/ideal/r2_nees'], made['1/60/fej/f_pos']
+    nees, position = table['1/60/ideal/r2_nees'], table['1/60/fej/f_pos']
     assert (nees.paper, nees.ours, nees.runs, nees.expected) == (1.0827, 6.0, 3, CHANCE)
     assert (position.paper, position.ours) == (0.4297, pytest.approx(3.0))
 
 
 def test_the_keys_of_all_experiments_are_those_of_the_published_tables():
-    made = entries({configuration: by_filter(1.0) for configuration in CONFIGURATIONS})
+    table = entries({configuration: by_filter(1.0) for configuration in CONFIGURATIONS})
 
-    assert list(made) == list(published())
+    assert list(table) == list(published())
 
 
 def test_csv_and_json_hold_the_same_values():
-    made = entries({
+    table = entries({
         Configuration(1, 60): by_filter(1.0, 4.0), Configuration(2, 20): by_filter(0.3)})
 
-    of_json = json.loads(json.dumps(tables.summary(made)))
+    of_json = json.loads(json.dumps(tables.summary(table)))
 
     assert of_json['2/20/std/r1_nees'] == {
         'paper': 2.6083, 'ours': 0.3, 'runs': 1, 'mean': 2.0, 'sd100': 0.5, 'lo95': 1.0,
         'hi95': 3.0, 'lo997': 0.5, 'hi997': 3.5, 'outside': False}
     assert {
         '/'.join(row.pop(name) for name in ('environment', 'landmarks', 'filter', 'entry')): row
-        for row in rows_of(tables.csv_rows(made))
+        for row in rows_of(tables.csv_rows(table))
     } == {key: {name: repr(value) for name, value in row.items()} for key, row in of_json.items()}
 
 
@@ -132,24 +132,24 @@ def test_a_table_has_paper_ours_and_range_of_each_filter():
 
 
 def test_entries_outside_are_marked_and_far_ones_counted():
-    made = {
+    table = {
         f'1/20/std/{entry}': tables.TableEntry(2.0, ours, 100, CHANCE)
         for entry, ours in zip(ENTRIES, [3.4, 3.6, 0.4, 3.53, 3.6, 4.5, 4.6, 2.0])}
 
-    assert '| **3.4000** | **3.6000**! | **0.4000**! |' in tables.markdown(made, '')
+    assert '| **3.4000** | **3.6000**! | **0.4000**! |' in tables.markdown(table, '')
     # 3 and 5 standard deviations of 0.5 sqrt(1.05) are 1.54 and 2.56.
-    assert tables.verdict(made) == (
+    assert tables.verdict(table) == (
         'Outside of the 99.7 % range: 6 of the 8 entries made of 100 runs or more.'
         ' Farther than 3 standard deviations from the mean of the independent runs: 5 of all 8,'
         ' farther than 5: 1.')
 
 
 def test_few_runs_are_not_compared_with_the_range_of_a_hundred():
-    made = {'1/20/std/r1_nees': tables.TableEntry(2.0, 9.0, 99, CHANCE)}
+    table = {'1/20/std/r1_nees': tables.TableEntry(2.0, 9.0, 99, CHANCE)}
 
-    assert not made['1/20/std/r1_nees'].is_outside
-    assert 'Outside of the 99.7 % range: 0 of the 0 entries' in tables.verdict(made)
-    assert 'farther than 5: 1.' in tables.verdict(made)
+    assert not table['1/20/std/r1_nees'].is_outside
+    assert 'Outside of the 99.7 % range: 0 of the 0 entries' in tables.verdict(table)
+    assert 'farther than 5: 1.' in tables.verdict(table)
 
 
 def test_in_the_authors_worlds_the_range_is_published_and_the_page_has_a_verdict():
@@ -159,9 +159,9 @@ def test_in_the_authors_worlds_the_range_is_published_and_the_page_has_a_verdict
 
     assert list(found) == ENTRIES
     assert all(found[entry] == published()[f'2/60/fej/{entry}'].expected for entry in ENTRIES)
-    made = {'2/60/fej/r1_pos': tables.TableEntry(2.0, 3.6, 100, CHANCE)}
-    assert 'Outside of the 99.7 % range: 1 of the 1 entries' in source.about(made)
-    assert 'Outside' not in tables.OWN_WORLDS.about(made)
+    table = {'2/60/fej/r1_pos': tables.TableEntry(2.0, 3.6, 100, CHANCE)}
+    assert 'Outside of the 99.7 % range: 1 of the 1 entries' in source.about(table)
+    assert 'Outside' not in tables.OWN_WORLDS.about(table)
 
 
 def test_in_our_own_worlds_the_range_comes_from_the_runs_and_is_always_the_same():
@@ -225,19 +225,19 @@ def authors(data):
 
 
 def test_a_few_runs_in_the_authors_worlds_are_near_the_paper(authors):
-    made = reproduced(authors, [Configuration(1, 20), Configuration(2, 60)], 8)
+    table = reproduced(authors, [Configuration(1, 20), Configuration(2, 60)], 8)
 
-    assert len(made) == 2 * 3 * 8
-    assert [key for key, entry in made.items() if entry.is_farther(3.0)] == []
+    assert len(table) == 2 * 3 * 8
+    assert [key for key, entry in table.items() if entry.is_farther(3.0)] == []
 
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_100_runs_in_the_authors_worlds_are_within_their_ranges(authors):
-    made = reproduced(authors, CONFIGURATIONS, 100)
+    table = reproduced(authors, CONFIGURATIONS, 100)
 
-    assert list(made) == list(published())
-    assert sum(entry.is_outside for entry in made.values()) <= 2
+    assert list(table) == list(published())
+    assert sum(entry.is_outside for entry in table.values()) <= 2
 
 
 @pytest.fixture(scope='module')
@@ -246,10 +246,10 @@ def own():
     return reproduced(tables.OWN_WORLDS, CONFIGURATIONS, 100)
 
 
-def nees(made, name):
+def nees(table, name):
     """Return the NEES of robots and map that a filter has in each experiment."""
     return {
-        key: entry.ours for key, entry in made.items()
+        key: entry.ours for key, entry in table.items()
         if f'/{name}/' in key and key.endswith('_nees')}
 
 

@@ -39,15 +39,17 @@ def test_errors_are_those_of_runs_that_end_then():
 
     assert stamps[-1] < stamps[0] + 120 * NS
     assert causal.poses == 2
-    newest = {name: of.newest() for name, of in team.trajectories.items()}
+    newest = {name: trajectory.newest() for name, trajectory in team.trajectories.items()}
     for estimates, expected in (
             (newest, causal.least_squares),
             ({name: estimator.pose(name) for name in newest}, causal.filter)):
-        errors = [of.pose - truth[name, of.stamp] for name, of in estimates.items()]
+        errors = [
+            estimate.pose - truth[name, estimate.stamp] for name, estimate in estimates.items()]
         # Smoothers that begin elsewhere end at increments of 1e-9 m.
         assert expected == pytest.approx(
             np.sqrt(np.mean([e[:2] @ e[:2] for e in errors])), abs=1e-7)
     assert causal.least_squares != causal.filter
     # At the end the smoother knows everything.
-    assert max(of.stamps[-1] for of in smoother.trajectories.values()) == stamps[-1]
+    last = max(trajectory.stamps[-1] for trajectory in smoother.trajectories.values())
+    assert last == stamps[-1]
     assert smoother.solution.has_joined(['r1', 'r2'])

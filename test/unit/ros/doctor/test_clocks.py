@@ -16,15 +16,15 @@ def skewed(**ahead):
     logged = np.arange(0, 10 * NS, NS // 10)
     survey = Survey()
     survey.topics |= {
-        f'{robot}/odom': OdometrySeries((logged + round(by * NS)).tolist(), logged.tolist())
-        for robot, by in ahead.items()}
+        f'{robot}/odom': OdometrySeries((logged + round(offset * NS)).tolist(), logged.tolist())
+        for robot, offset in ahead.items()}
     return survey
 
 
 @pytest.mark.parametrize('wrong', ['r1', 'r2', 'r3'])
-@pytest.mark.parametrize('by', [-2.0, 0.5, 2.0])
-def test_of_three_clocks_the_one_that_differs_is_named(wrong, by):
-    clocks = {'r1': 0.0, 'r2': 0.0, 'r3': 0.0, wrong: by}
+@pytest.mark.parametrize('offset', [-2.0, 0.5, 2.0])
+def test_of_three_clocks_the_one_that_differs_is_named(wrong, offset):
+    clocks = {'r1': 0.0, 'r2': 0.0, 'r3': 0.0, wrong: offset}
 
     found = [*check(skewed(**clocks), team('r1', 'r2', 'r3'), clock_limit=1.0)]
 

@@ -37,9 +37,10 @@ WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360
 def test_what_explains_a_disagreement_is_named(changes, expected):
     found = findings('r1/scan', replace(AS_GIVEN, **changes))
 
-    assert [(of.name, of.severity.value) for of in found] == [e[:2] for e in expected]
-    for of, (_, _, part) in zip(findings('r1/scan', replace(AS_GIVEN, **changes)), expected):
-        assert part in of.what
+    assert [(finding.name, finding.severity.value) for finding in found] == [
+        e[:2] for e in expected]
+    for finding, (_, _, part) in zip(findings('r1/scan', replace(AS_GIVEN, **changes)), expected):
+        assert part in finding.what
 
 
 @pytest.fixture(scope='module')
@@ -53,13 +54,13 @@ def recorded(tmp_path_factory):
 
 def changed(bag, copy, change):
     """Return a copy of a bag with other scans."""
-    def of(message):
+    def changed_message(message):
         if not message.topic.endswith('/scan'):
             return message
         scan = change(TYPES.deserialize_cdr(message.raw, message.type_name))
         return replace(message, raw=cdr(scan))
 
-    return write_bag(copy, [*map(of, bags.read(bag))])
+    return write_bag(copy, [*map(changed_message, bags.read(bag))])
 
 
 def of_sensors(bag, capsys, **values):

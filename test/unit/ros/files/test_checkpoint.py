@@ -312,7 +312,7 @@ def test_a_missing_file_is_named(path):
 
 
 @pytest.mark.parametrize(
-    ('name', 'made', 'given', 'changes'),
+    ('name', 'saved', 'given', 'changes'),
     [
         ('max_delay', '0.1', '0.3', {'max_delay': 0.3}),
         ('filter', "'fej'", "'standard'", {'filter': 'standard'}),
@@ -321,11 +321,11 @@ def test_a_missing_file_is_named(path):
     ],
 )
 def test_a_file_made_with_other_settings_is_refused_by_the_first_of_them(
-    path, name, made, given, changes,
+    path, name, saved, given, changes,
 ):
     interrupted(path, MESSAGES[:12])
 
-    assert f'{path} was made with {name} = {made}, not {given}: ' in rejected(path, **changes)
+    assert f'{path} was made with {name} = {saved}, not {given}: ' in rejected(path, **changes)
 
 
 def test_settings_that_do_not_affect_the_result_may_differ(path):

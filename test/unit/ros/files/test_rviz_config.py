@@ -49,7 +49,7 @@ def test_robots_have_different_colours():
 
 
 def test_the_rest_is_as_in_the_template():
-    made, template = (
+    config, template = (
         YAML(typ='safe').load(text) for text in (team_config(TEMPLATE, ['r1']), TEMPLATE))
 
-    assert made == template
+    assert config == template

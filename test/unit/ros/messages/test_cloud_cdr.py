@@ -16,11 +16,11 @@ TYPE = 'sensor_msgs/msg/PointCloud2'
 def message(frame='r1/camera', names=('x', 'y', 'id'), order='<', is_dense=True):
     """Return a cloud of three points in which the numbers differ."""
     numbers = np.random.default_rng(len(names)).normal(size=(max(len(names), 1), 3))
-    made = cloud({name: ('f8', row) for name, row in zip(names or ['x'], numbers)}, order=order)
-    made.header.frame_id, made.is_dense = frame, is_dense
+    sample = cloud({name: ('f8', row) for name, row in zip(names or ['x'], numbers)}, order=order)
+    sample.header.frame_id, sample.is_dense = frame, is_dense
     if not names:
-        made.fields = []
-    return made
+        sample.fields = []
+    return sample
 
 
 # CDR pads what follows a string to 4 bytes: every length is another case.

@@ -17,13 +17,13 @@ TYPE = 'nav_msgs/msg/Odometry'
 def message(frame='r1/odom', child='r1/base_link', seed=1):
     """Return a message in which every number differs."""
     numbers = np.random.default_rng(seed).normal(size=(2, 36))
-    made = odometry_message(1_234, (1.5, -2.5, 0.25), (0.1, 0.2, 0.3, 0.9))
-    made.header.frame_id, made.child_frame_id = frame, child
-    made.pose.covariance, made.twist.covariance = numbers
+    sample = odometry_message(1_234, (1.5, -2.5, 0.25), (0.1, 0.2, 0.3, 0.9))
+    sample.header.frame_id, sample.child_frame_id = frame, child
+    sample.pose.covariance, sample.twist.covariance = numbers
     linear, angular = np.split(numbers[0, :6], 2)
-    made.twist.twist.linear = Vector3(*linear)
-    made.twist.twist.angular = Vector3(*angular)
-    return made
+    sample.twist.twist.linear = Vector3(*linear)
+    sample.twist.twist.angular = Vector3(*angular)
+    return sample
 
 
 # CDR pads what follows a frame to 4 bytes, or to 8: every length of both is another case.

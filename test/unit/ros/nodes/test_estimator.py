@@ -41,9 +41,9 @@ def stamps(poses):
     return [p.header.stamp.sec * 1000 + p.header.stamp.nanosec // MS for p in poses]
 
 
-def drive(*robots, to=400):
+def drive(*robots, end=400):
     """Return the odometry of robots that drive straight ahead, every 200 ms."""
-    return [raw_record(odometry(robot, ms)) for ms in range(0, to + 1, 200) for robot in robots]
+    return [raw_record(odometry(robot, ms)) for ms in range(0, end + 1, 200) for robot in robots]
 
 
 def values(status):
@@ -303,7 +303,7 @@ def test_rejections_are_published_and_counted(domain, message, reason, number):
     rejections = domain.listen('/estimator/rejections', STATUS)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
 
-    domain.send(*drive('r1', to=0))
+    domain.send(*drive('r1', end=0))
     domain.send(raw('r1/landmarks', message))
     domain.until(lambda: rejections and reports and reason in newest(reports, 'r1'))
 

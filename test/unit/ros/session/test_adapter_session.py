@@ -43,9 +43,9 @@ def clouds(publications, topic='r1/landmarks'):
 
 
 def _columns(cloud):
-    of = TYPES.deserialize_cdr(TYPES.serialize_cdr(cloud, cloud.__msgtype__), cloud.__msgtype__)
-    columns = np.frombuffer(of.data.tobytes(), dtype=[
-        (field.name, {8: 'f8', 5: 'i4'}[field.datatype]) for field in of.fields])
+    copy = TYPES.deserialize_cdr(TYPES.serialize_cdr(cloud, cloud.__msgtype__), cloud.__msgtype__)
+    columns = np.frombuffer(copy.data.tobytes(), dtype=[
+        (field.name, {8: 'f8', 5: 'i4'}[field.datatype]) for field in copy.fields])
     xx, xy, yy = columns['var_x'], columns['cov_xy'], columns['var_y']
     return (
         columns['id'].tolist(), np.column_stack([columns['x'], columns['y']]),

@@ -143,5 +143,5 @@ def test_diagnostics_have_the_counts_of_each_robot():
     _, told = report('detector', session.counts(), 7)
 
     status, = told.status
-    values = {of.key: of.value for of in status.values}
+    values = {entry.key: entry.value for entry in status.values}
     assert (status.name, status.level, values['landmarks']) == ('detector: r1', 0, '2')

@@ -111,13 +111,13 @@ def test_nis_that_stays_outside_its_chi_square_band_is_reported(sigma, level, me
     assert of_message.startswith(message)
 
 
-def misled(by, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
+def misled(shift, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
     """Return messages with shifted observations of some landmarks, from a time in ms on."""
     def seen(record):
         if record.robot not in robots or isinstance(record, Odometry) or record.stamp < since * MS:
             return record
         return replace(record, observations=tuple(
-            replace(s, z=s.z + by) if s.id in numbers else s for s in record.observations))
+            replace(s, z=s.z + shift) if s.id in numbers else s for s in record.observations))
 
     return [raw_record(seen(record)) for record in meeting(steps=40)]
 
@@ -172,8 +172,8 @@ def test_errors_against_ground_truth_are_those_of_the_summary():
     for name in ('r1', 'r2'):
         _, _, values = report[name]
         assert float(values['nees']) == pytest.approx(expected['nees'][name], abs=5e-4)
-        for key, of in ('position_rmse_m', 'position'), ('heading_rmse_rad', 'heading'):
-            assert float(values[key]) == pytest.approx(expected['rmse'][name][of], abs=5e-7)
+        for key, quantity in ('position_rmse_m', 'position'), ('heading_rmse_rad', 'heading'):
+            assert float(values[key]) == pytest.approx(expected['rmse'][name][quantity], abs=5e-7)
 
 
 def test_the_latest_nees_is_that_of_the_latest_pose():

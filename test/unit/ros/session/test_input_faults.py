@@ -40,8 +40,8 @@ class Case:
 
     def at(self, ms, needs_observations=False):
         """Return level and sentence of each condition."""
-        of = RobotInput('r2', ms * MS, self.health, needs_observations, self.publishers)
-        return [(level, message) for level, message in faults(of)]
+        robot_input = RobotInput('r2', ms * MS, self.health, needs_observations, self.publishers)
+        return [(level, message) for level, message in faults(robot_input)]
 
 
 def flowing(until=10 * S):

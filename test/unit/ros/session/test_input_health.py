@@ -18,10 +18,10 @@ STALE_AFTER = 1 * S
 
 def flow(*times):
     """Return a topic whose messages were received at times in ms."""
-    of = TopicFlow()
+    topic = TopicFlow()
     for ms in times:
-        of.add(ms * MS, None)
-    return of
+        topic.add(ms * MS, None)
+    return topic
 
 
 @pytest.mark.parametrize(('times', 'now', 'expected'), [
@@ -50,19 +50,19 @@ def test_a_topic_is_regular_if_its_gaps_are_alike(times, expected):
 
 
 def test_a_clock_that_goes_back_is_no_gap():
-    of = flow(1000, 1100, 50, 150)
+    topic = flow(1000, 1100, 50, 150)
 
-    assert of.usual_gap() == 100 * MS
+    assert topic.usual_gap() == 100 * MS
 
 
 def test_rejections_in_a_row_end_with_an_accepted_message():
-    of = TopicFlow()
+    topic = TopicFlow()
     for ms, reason in (0, None), (10, 'late'), (20, 'late'), (30, 'tilted'):
-        of.add(ms * MS, reason and RejectionReason(reason))
+        topic.add(ms * MS, reason and RejectionReason(reason))
 
-    assert (of.rejected_in_a_row, of.rejected_since) == ({'late': 2, 'tilted': 1}, 10 * MS)
-    of.add(40 * MS, None)
-    assert not of.rejected_in_a_row
+    assert (topic.rejected_in_a_row, topic.rejected_since) == ({'late': 2, 'tilted': 1}, 10 * MS)
+    topic.add(40 * MS, None)
+    assert not topic.rejected_in_a_row
 
 
 def test_a_rate_refers_to_the_last_five_seconds():
@@ -78,36 +78,36 @@ def test_a_rate_refers_to_the_last_five_seconds():
 
 def sampled(*totals):
     """Return a robot with totals of (seen, used, gated) observations, reported once a second."""
-    of = RobotHealth()
+    health = RobotHealth()
     for second, (seen, used, gated) in enumerate(totals):
-        of.sample(second * S, seen, used, Counter({RejectionReason.GATED: gated}))
-    return of
+        health.sample(second * S, seen, used, Counter({RejectionReason.GATED: gated}))
+    return health
 
 
 def test_the_latest_observations_are_judged():
-    of = sampled((20, 20, 0), (40, 40, 0), (50, 42, 8), (60, 43, 17))
+    health = sampled((20, 20, 0), (40, 40, 0), (50, 42, 8), (60, 43, 17))
 
-    assert of.gated() == (9, 10)
+    assert health.gated() == (9, 10)
 
 
 def test_slow_observations_are_collected_over_reports():
-    of = sampled(*((k, k // 2, k - k // 2) for k in range(13)))
+    health = sampled(*((k, k // 2, k - k // 2) for k in range(13)))
 
-    assert of.gated() == (5, 10)
+    assert health.gated() == (5, 10)
 
 
 def test_old_observations_are_forgotten():
-    of = sampled((9, 0, 9), *[(9, 0, 9)] * 31)
+    health = sampled((9, 0, 9), *[(9, 0, 9)] * 31)
 
-    assert of.gated() == (0, 0)
+    assert health.gated() == (0, 0)
 
 
 def test_observations_are_unused_since_the_last_used_one():
-    of = sampled((3, 3, 0), (6, 3, 0), (9, 3, 0))
-    assert (of.unused_since, of.unused_observations) == (0, 6)
+    health = sampled((3, 3, 0), (6, 3, 0), (9, 3, 0))
+    assert (health.unused_since, health.unused_observations) == (0, 6)
 
-    of.sample(3 * S, 12, 5, Counter())
-    assert (of.unused_since, of.unused_observations) == (None, 0)
+    health.sample(3 * S, 12, 5, Counter())
+    assert (health.unused_since, health.unused_observations) == (None, 0)
 
 
 def lags(*stamps, reports=()):

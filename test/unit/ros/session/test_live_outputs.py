@@ -95,8 +95,8 @@ def test_the_transform_is_post_dated_and_leads_from_odometry_to_the_predicted_po
     assert (transform.header.frame_id, transform.child_frame_id) == ('map', 'r1/odom')
     assert stamp_of(transform) == 100 * MS + tolerance * 1e9
     # The origin of the odometry is the start, which looks to the left.
-    to, turned = transform.transform.translation, transform.transform.rotation
-    np.testing.assert_allclose([to.x, to.y], [7.0, -3.0], atol=1e-12)
+    translation, turned = transform.transform.translation, transform.transform.rotation
+    np.testing.assert_allclose([translation.x, translation.y], [7.0, -3.0], atol=1e-12)
     np.testing.assert_allclose([turned.z, turned.w], [np.sqrt(0.5)] * 2, atol=1e-12)
 
 

@@ -365,7 +365,7 @@ def test_what_a_full_disk_does_not_take_is_written_later(clock, tmp_path, monkey
 
     again = session('p', 'q', exchange_file=str(path))
 
-    known, before = (of.team.logs.contents('p').measurements() for of in (again, run))
+    known, before = (peer.team.logs.contents('p').measurements() for peer in (again, run))
     assert len(known) == len(before) > 50
     again.discard_files()
 
@@ -411,8 +411,8 @@ def test_a_wrong_team_is_rejected_with_one_sentence(robots, peers, sentence):
 
 
 def test_robots_that_list_each_other_have_the_same_ids():
-    of = {
+    ids = {
         name: {robot.name: robot.id for robot in settings([name], peers).estimation.robots}
         for name, peers in {'a': ['c', 'b'], 'b': ['a', 'c'], 'c': ['a', 'b']}.items()}
 
-    assert of['a'] == of['b'] == of['c'] == {'a': 1, 'b': 2, 'c': 3}
+    assert ids['a'] == ids['b'] == ids['c'] == {'a': 1, 'b': 2, 'c': 3}

@@ -163,9 +163,9 @@ def test_a_moved_landmark_is_one_line(mode, what):
     def moved(record):
         if not isinstance(record, Scan) or record.stamp < S:
             return record
-        by = np.array([2.0, 0.0])
+        shift = np.array([2.0, 0.0])
         return replace(record, observations=tuple(
-            replace(s, z=s.z + by) if s.id == 2 else s for s in record.observations))
+            replace(s, z=s.z + shift) if s.id == 2 else s for s in record.observations))
 
     lines = lines_of(map(moved, meeting(40)), moved_landmarks=mode)
 

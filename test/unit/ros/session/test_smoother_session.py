@@ -51,14 +51,17 @@ def test_every_step_publishes_a_pose_in_the_robots_own_frame():
     assert {message.header.frame_id for _, message in published} == {'r1/map', 'r2/map'}
 
 
+def planar_pose(transform):
+    t, q = transform.translation, transform.rotation
+    return np.array([t.x, t.y, from_quaternion(q.x, q.y, q.z, q.w)])
+
+
 def transforms(published):
     """Return parent, child, stamp [ns] and planar pose of each transform."""
     return [
-        (of.header.frame_id, of.child_frame_id, from_time(of.header.stamp),
-         np.array([of.transform.translation.x, of.transform.translation.y, from_quaternion(
-             of.transform.rotation.x, of.transform.rotation.y, of.transform.rotation.z,
-             of.transform.rotation.w)]))
-        for topic, message in published if topic == '/tf' for of in message.transforms]
+        (transform.header.frame_id, transform.child_frame_id, from_time(transform.header.stamp),
+         planar_pose(transform.transform))
+        for topic, message in published if topic == '/tf' for transform in message.transforms]
 
 
 @pytest.mark.parametrize('is_joined', [False, True])
@@ -82,7 +85,7 @@ def test_a_transform_composed_with_the_odometry_is_the_pose_of_the_smoother(is_j
     published += run.release()
 
     poses = {
-        (of.robot, of.stamp): of for of in (
+        (estimate.robot, estimate.stamp): estimate for estimate in (
             incoming.pose_estimate(message, topic.partition('/')[0])
             for topic, message in published if topic.endswith('/pose'))}
     found = transforms(published)
@@ -264,7 +267,7 @@ def test_without_a_final_solution_the_last_one_is_kept():
 
     assert run.team.solution.maps == solution.maps
     assert (run.message_sizes, run.alignment()['messages']) == ({}, [])
-    solved = next(of.trajectories['q'] for of in solution.maps if 'q' in of.trajectories)
+    solved = next(map_.trajectories['q'] for map_ in solution.maps if 'q' in map_.trajectories)
     kept = [estimate.pose for estimate in run.team.trajectories['q'].estimates()]
     assert len(kept) > len(solved.poses)
     assert_array_equal(kept[:len(solved.poses)], solved.poses)
