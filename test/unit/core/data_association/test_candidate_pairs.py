@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.data_association.candidate_pairs import MAX_PAIR_D2, MAX_CANDIDATE_PAIRS
+from fej_slam_ros.core.data_association.candidate_pairs import MAX_CANDIDATE_PAIRS, MAX_PAIR_D2
 from helpers.core import central_differences, turn
 from helpers.matching import a_map, independent, match, observations, ODDS, pairs_of
 

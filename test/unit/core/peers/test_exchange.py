@@ -185,7 +185,7 @@ def test_a_robot_that_is_not_a_peer_is_rejected_by_name():
     drive(stranger)
 
     rejected = {robots['q'].exchange.receive(data, k * NS)
-               for k in range(3) for data in stranger.exchange.due(k * NS)}
+                for k in range(3) for data in stranger.exchange.due(k * NS)}
 
     assert rejected == {MessageRejection.UNKNOWN_ROBOT}
     assert robots['q'].exchange.rejected_unread[MessageRejection.UNKNOWN_ROBOT] == 3
