@@ -11,7 +11,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.rendezvous_window import contents, meet, meeting_task
+from fej_slam_ros.core.peers.rendezvous_window import contents, rendezvous_task, solve_rendezvous
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union, UnionTask
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
@@ -58,13 +58,13 @@ class Robot:
         contents_of = {name: self.logs.contents(name) for name in self.logs.robots}
         return smoothed_union(UnionTask(self.settings, contents_of, self.logs.noise(), 10**9))
 
-    def meet(self, peer):
+    def share_rendezvous(self, peer):
         """Send information about a rendezvous; return the alignment."""
-        meeting = meet(meeting_task(self.logs, self.settings, peer))
-        if meeting is None:
+        result = solve_rendezvous(rendezvous_task(self.logs, self.settings, peer))
+        if result is None:
             return None
-        self.logs.publish(LogName(self.logs.robot, peer), contents(meeting.message))
-        return meeting
+        self.logs.publish(LogName(self.logs.robot, peer), contents(result.message))
+        return result
 
 
 class Radio:

@@ -21,7 +21,7 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.rendezvous_window import contents, Meeting
+from fej_slam_ros.core.peers.rendezvous_window import contents, RendezvousResult
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import UnionTask
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
@@ -46,7 +46,7 @@ class PeerSmoother(TeamSmoother):
     ----------
     robot : name of its own robot
     logs : that it knows
-    meetings : result of the latest rendezvous with each robot, by name
+    rendezvous_results : result of the latest rendezvous with each robot, by name
     observed : number of own observations of each robot
 
     """
@@ -58,7 +58,7 @@ class PeerSmoother(TeamSmoother):
         super().__init__(replace(settings, robots=own), solve_every)
         self.robot, self.logs = robot, logs
         self.robots = {member.name: member for member in settings.robots}
-        self.meetings: dict[str, Meeting] = {}
+        self.rendezvous_results: dict[str, RendezvousResult] = {}
         self.observed: Counter[str] = Counter()
         self._team_settings = settings
         self._union: TeamSmoother | None = None
@@ -125,10 +125,10 @@ class PeerSmoother(TeamSmoother):
         self.adopt_union(union)
         self.trajectories = {**union.trajectories}
 
-    def adopt_meeting(self, peer: str, meeting: Meeting) -> None:
+    def adopt_rendezvous(self, peer: str, result: RendezvousResult) -> None:
         """Adopt the result of a rendezvous, and let the other robot have the information."""
-        self.meetings[peer] = meeting
-        self.logs.publish(LogName(self.robot, peer), contents(meeting.message))
+        self.rendezvous_results[peer] = result
+        self.logs.publish(LogName(self.robot, peer), contents(result.message))
 
     def not_in_map(self) -> dict[str, str]:
         """Return the reason for each robot that is not in ``map``."""

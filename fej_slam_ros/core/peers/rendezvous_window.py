@@ -50,8 +50,8 @@ class WindowInformation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MeetingTask:
-    """Input of `meet`."""
+class RendezvousTask:
+    """Input of `solve_rendezvous`."""
 
     settings: Settings  #: whose only robot is this one
     log: LogContents  #: measurements of this robot
@@ -60,8 +60,8 @@ class MeetingTask:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Meeting:
-    """Result of `meet`."""
+class RendezvousResult:
+    """Result of `solve_rendezvous`."""
 
     message: bytes  #: information for the other robot, empty if there is no observation yet
     #: pose of the other robot's map in that of this one, or why there is none
@@ -70,12 +70,12 @@ class Meeting:
     pose: Array | None  #: (3,) pose of the other robot then, in the map of this one
 
 
-def meeting_task(logs: TeamLogs, settings: Settings, peer: str) -> MeetingTask:
+def rendezvous_task(logs: TeamLogs, settings: Settings, peer: str) -> RendezvousTask:
     """Return the task of a robot for its rendezvous with another."""
     robots = tuple(robot for robot in settings.robots if robot.name == logs.robot)
     log = logs.logs.get(LogName(peer, logs.robot))
     received = b'' if log is None else b''.join(log.blocks)
-    return MeetingTask(
+    return RendezvousTask(
         replace(settings, robots=robots), logs.contents(logs.robot), peer, received)
 
 
@@ -84,7 +84,7 @@ def contents(message: bytes) -> list[bytes]:
     return [message[k:k + MAX_BLOCK_SIZE] for k in range(0, len(message), MAX_BLOCK_SIZE)]
 
 
-def meet(task: MeetingTask) -> Meeting | None:
+def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
     """Return the information for the other robot and the alignment of the maps, None if none."""
     robot, = task.settings.robots
     measurements = task.log.measurements()
@@ -109,14 +109,14 @@ def meet(task: MeetingTask) -> Meeting | None:
         (*stamps, *_start_stamp(information, index, stamps)), information,
         tuple(scan for scan in own if scan.stamp in index))
     if theirs is None:
-        return Meeting(
+        return RendezvousResult(
             write(sent), JoinFailure(f'{task.peer} has sent no rendezvous information'),
             stamps[-1], None)
     alignment = _aligned(sent, theirs)
     newest = max(range(len(theirs.stamps)), key=theirs.stamps.__getitem__)
     pose = None if isinstance(alignment, JoinFailure) else compose(
         alignment.base_node.pose, theirs.information.in_map(newest))
-    return Meeting(write(sent), alignment, theirs.stamps[newest], pose)
+    return RendezvousResult(write(sent), alignment, theirs.stamps[newest], pose)
 
 
 def write(window: WindowInformation) -> bytes:

@@ -10,7 +10,8 @@ import numpy as np
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.rendezvous_window import contents, meet, Meeting, meeting_task
+from fej_slam_ros.core.peers.rendezvous_window import (
+    contents, rendezvous_task, RendezvousResult, solve_rendezvous)
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings
@@ -26,7 +27,7 @@ MAX_EXCHANGE_PERIODS = 1000
 class Exchanged:
     """An exchange between P and Q."""
 
-    meeting: Meeting  #: what P knows of Q by the rendezvous information
+    rendezvous: RendezvousResult  #: what P knows of Q by the rendezvous information
     bytes_to_align: int  #: sent by both robots until then
     bytes_in_all: int  #: sent until both had both logs
 
@@ -44,20 +45,20 @@ def exchange(scene: Scene, seed: int) -> Exchanged | None:
     robots = {
         name: PeerExchange(logs[name], ExchangeSettings(frozenset(names) - {name}))
         for name in names}
-    meetings: dict[str, Meeting] = {}
+    results: dict[str, RendezvousResult] = {}
     bytes_to_align = 0
     for now in range(TICK, MAX_EXCHANGE_PERIODS * TICK, TICK):
         _pass_on(robots, now, rng)
         for name, other in (names, names[::-1]):
-            if name not in meetings and robots[name].in_reach(now):
-                _meet(logs[name], settings, other, meetings)
-        if names[0] in meetings and not bytes_to_align:
+            if name not in results and robots[name].in_reach(now):
+                _share_rendezvous(logs[name], settings, other, results)
+        if names[0] in results and not bytes_to_align:
             bytes_to_align = _bytes_sent(robots)
         if all(robot.in_reach(now) and robot.is_complete(now) for robot in robots.values()):
             break
-    if names[0] not in meetings:
+    if names[0] not in results:
         return None
-    return Exchanged(meetings[names[0]], bytes_to_align, _bytes_sent(robots))
+    return Exchanged(results[names[0]], bytes_to_align, _bytes_sent(robots))
 
 
 def _pass_on(robots: Mapping[str, PeerExchange], now: int, rng: np.random.Generator) -> None:
@@ -69,13 +70,15 @@ def _pass_on(robots: Mapping[str, PeerExchange], now: int, rng: np.random.Genera
                     receiver.receive(message, now)
 
 
-def _meet(logs: TeamLogs, settings: Settings, other: str, meetings: dict[str, Meeting]) -> None:
-    """Let a robot tell another one about their rendezvous, and add their alignment."""
-    meeting = meet(meeting_task(logs, settings, other))
-    if meeting is not None:
-        logs.publish(LogName(logs.robot, other), contents(meeting.message))
-        if not isinstance(meeting.alignment, JoinFailure):
-            meetings[logs.robot] = meeting
+def _share_rendezvous(
+    logs: TeamLogs, settings: Settings, other: str, results: dict[str, RendezvousResult]
+) -> None:
+    """Let a robot publish its information about a rendezvous, and add the alignment."""
+    result = solve_rendezvous(rendezvous_task(logs, settings, other))
+    if result is not None:
+        logs.publish(LogName(logs.robot, other), contents(result.message))
+        if not isinstance(result.alignment, JoinFailure):
+            results[logs.robot] = result
 
 
 def _bytes_sent(robots: Mapping[str, PeerExchange]) -> int:

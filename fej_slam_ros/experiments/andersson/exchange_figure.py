@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A meeting without a central node: two maps before, the alignment, and the map after it."""
+"""A rendezvous without a central node: two maps before, the alignment, and the map after it."""
 
 from typing import BinaryIO
 
@@ -31,8 +31,9 @@ def draw(file: BinaryIO, solution: CsamSolution, joint: JointMap, exchanged: Exc
     _draw_own(other, q, solution.maps[1], ROBOT_COLOURS[1])
     other.set_title("(b) Q's map in Q's frame, before")
     _draw_own(aligned, p, solution.maps[0], ROBOT_COLOURS[0])
-    if not isinstance(exchanged.meeting.alignment, JoinFailure):
-        _draw_base_node(aligned, exchanged.meeting.alignment.base_node, exchanged.meeting.pose)
+    rendezvous = exchanged.rendezvous
+    if not isinstance(rendezvous.alignment, JoinFailure):
+        _draw_base_node(aligned, rendezvous.alignment.base_node, rendezvous.pose)
     aligned.set_title(
         f'(c) P knows where Q is and was: {exchanged.bytes_to_align / 1e3:.1f} kB sent by both')
     draw_map(joined, joint, SIGMAS)

@@ -14,7 +14,7 @@ from fej_slam_ros.core.peers.exchange import PeerExchange
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MessageRejection
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
-from fej_slam_ros.core.peers.rendezvous_window import Meeting
+from fej_slam_ros.core.peers.rendezvous_window import RendezvousResult
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.session.input_faults import Fault, Level
@@ -79,9 +79,9 @@ class PeerDiagnostics(SmootherDiagnostics):
         peer = self._exchange.peers.get(robot)
         if peer is None:
             return values
-        meeting = self._consumer.meetings.get(robot)
-        aligned = '' if meeting is None else (
-            meeting.alignment.reason if isinstance(meeting.alignment, JoinFailure) else 'yes')
+        result = self._consumer.rendezvous_results.get(robot)
+        aligned = '' if result is None else (
+            result.alignment.reason if isinstance(result.alignment, JoinFailure) else 'yes')
         log = self._consumer.logs.logs.get(LogName(robot))
         return {
             **values, 'blocks': 0 if log is None else len(log.blocks),
@@ -133,9 +133,9 @@ class PeerLog(SmootherLog):
                     self.add(LogSeverity.WARN, (
                         f'a message of {sender} is rejected: {EXPLANATIONS[reason]}'))
 
-    def add_meeting(self, peer: str, meeting: Meeting) -> None:
+    def add_rendezvous(self, peer: str, result: RendezvousResult) -> None:
         """Add a line when the first rendezvous tells where another robot is."""
-        if peer not in self._aligned and not isinstance(meeting.alignment, JoinFailure):
+        if peer not in self._aligned and not isinstance(result.alignment, JoinFailure):
             self._aligned.add(peer)
             self.add(LogSeverity.INFO, (
                 f'{peer}: the pose of its map is known by the rendezvous, before any of the map'))

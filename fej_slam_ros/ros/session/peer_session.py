@@ -18,7 +18,8 @@ from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
 from fej_slam_ros.core.peers.logs import Block, LogName
 from fej_slam_ros.core.peers.messages import MessageRejectedError
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
-from fej_slam_ros.core.peers.rendezvous_window import meet, Meeting, meeting_task, MeetingTask
+from fej_slam_ros.core.peers.rendezvous_window import (
+    rendezvous_task, RendezvousResult, RendezvousTask, solve_rendezvous)
 from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
@@ -38,7 +39,7 @@ from fej_slam_ros.ros.session.smoother_session import SmootherSession, Solving
 EXCHANGE_TOPIC = '/exchange'
 EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
 #: Shortest time between two computations of a rendezvous by further own observations [ns].
-MEETING_PERIOD = NS
+RENDEZVOUS_PERIOD = NS
 #: Number of new poses that a block of another robot counts as, for the decision to solve.
 BLOCK_POSES = 10
 
@@ -67,12 +68,12 @@ class PeerOutputs(SmootherOutputs):
 
     _consumer: PeerSmoother
 
-    def of_meeting(self, peer: str, meeting: Meeting) -> Iterator[Publication]:
+    def of_rendezvous(self, peer: str, result: RendezvousResult) -> Iterator[Publication]:
         """Yield the pose of the map of another robot, if it is known by their rendezvous."""
-        if not isinstance(meeting.alignment, JoinFailure):
-            base = meeting.alignment.base_node
+        if not isinstance(result.alignment, JoinFailure):
+            base = result.alignment.base_node
             estimate = PoseEstimate(
-                peer, meeting.stamp, own_frame(self._consumer.robot), base.pose, base.P)
+                peer, result.stamp, own_frame(self._consumer.robot), base.pose, base.P)
             yield f'{peer}/base_node', outgoing.pose(
                 self._frames.renamed(estimate), self.unused_variance)
 
@@ -121,8 +122,8 @@ class PeerSession(SmootherSession):
         self.log = PeerLog(self.team, self.inputs, self._exchange)
         # What was known of the rendezvous with each robot, and when its computation ended; a
         # computation of one is followed by a solution, if there is anything new to solve.
-        self._met: dict[str, tuple[int, tuple[int, int, int]]] = {}
-        self._is_after_meeting = False
+        self._last_rendezvous: dict[str, tuple[int, tuple[int, int, int]]] = {}
+        self._is_after_rendezvous = False
         self._unwritten: list[Block] = []
         self._store()
 
@@ -159,17 +160,17 @@ class PeerSession(SmootherSession):
 
     def is_solution_due(self, new_poses: int) -> bool:
         """Return whether a rendezvous or the solution of all that is known is to be computed."""
-        return self._due_meeting() is not None or super().is_solution_due(new_poses)
+        return self._due_rendezvous() is not None or super().is_solution_due(new_poses)
 
     def solving(self) -> Solving:
         """Return what computes the next rendezvous, else the solution of all that is known."""
-        peer = self._due_meeting()
-        if peer is None or (self._is_after_meeting and super().is_solution_due(1)):
-            self._is_after_meeting = False
+        peer = self._due_rendezvous()
+        if peer is None or (self._is_after_rendezvous and super().is_solution_due(1)):
+            self._is_after_rendezvous = False
             return smoothed_union, self.team.union_task()
-        self._is_after_meeting = True
-        self._met[peer] = monotonic_ns(), self._known_of(peer)
-        return _met, meeting_task(self.team.logs, self.settings.estimation, peer)
+        self._is_after_rendezvous = True
+        self._last_rendezvous[peer] = monotonic_ns(), self._known_of(peer)
+        return _solved_rendezvous, rendezvous_task(self.team.logs, self.settings.estimation, peer)
 
     def final_solving(self) -> Solving:
         """Return what computes the solution at the end of the input."""
@@ -182,13 +183,13 @@ class PeerSession(SmootherSession):
             self.log.add_solution()
             yield from self.outputs.of_solution()
             return
-        peer, meeting = solution
-        _, known = self._met[peer]
-        self._met[peer] = monotonic_ns(), known
-        if meeting is not None:
-            self.team.adopt_meeting(peer, meeting)
-            self.log.add_meeting(peer, meeting)
-            yield from self.outputs.of_meeting(peer, meeting)
+        peer, result = solution
+        _, known = self._last_rendezvous[peer]
+        self._last_rendezvous[peer] = monotonic_ns(), known
+        if result is not None:
+            self.team.adopt_rendezvous(peer, result)
+            self.log.add_rendezvous(peer, result)
+            yield from self.outputs.of_rendezvous(peer, result)
 
     def adopt_finally(self, final: Any) -> Iterator[Publication]:
         """Adopt the solution at the end of the input and yield its publications."""
@@ -255,16 +256,16 @@ class PeerSession(SmootherSession):
             self.log.add(LogSeverity.ERROR, f'exchange_file is not complete: {error}')
         self.diagnostics.exchange_file_error = error
 
-    def _due_meeting(self) -> str | None:
+    def _due_rendezvous(self) -> str | None:
         """Return a robot in reach that has not joined, if more of its rendezvous is known."""
         now = monotonic_ns()
         for peer in self._exchange.in_reach(now):
             if self.team.solution.has_joined([self.team.robot, peer]):
                 continue
-            at, before = self._met.get(peer, (-MEETING_PERIOD, (0, 0, 0)))
+            at, before = self._last_rendezvous.get(peer, (-RENDEZVOUS_PERIOD, (0, 0, 0)))
             known = self._known_of(peer)
             # A run of the other's information comes once; its blocks and own observations go on.
-            if known[1] != before[1] or (known != before and now - at >= MEETING_PERIOD):
+            if known[1] != before[1] or (known != before and now - at >= RENDEZVOUS_PERIOD):
                 return peer
         return None
 
@@ -275,6 +276,6 @@ class PeerSession(SmootherSession):
         return self.team.observed[peer], run, size
 
 
-def _met(task: MeetingTask) -> tuple[str, Meeting | None]:
+def _solved_rendezvous(task: RendezvousTask) -> tuple[str, RendezvousResult | None]:
     """Return the result of a rendezvous, with the name of the other robot."""
-    return task.peer, meet(task)
+    return task.peer, solve_rendezvous(task)

@@ -13,7 +13,8 @@ from fej_slam_ros.core.geometry import between, compose, inverse
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.blocks import BadBlockError
 from fej_slam_ros.core.peers.logs import LogName
-from fej_slam_ros.core.peers.rendezvous_window import meet, meeting_task, read, write
+from fej_slam_ros.core.peers.rendezvous_window import (
+    read, rendezvous_task, solve_rendezvous, write)
 from fej_slam_ros.core.records import RobotScan, TruePose
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
 from helpers.core import pose_difference
@@ -53,14 +54,14 @@ def test_both_robots_are_aligned_after_less_than_ten_kilobytes(experiment):
     robots, true = met(experiment)
     # In one experiment only p observes; q has something to tell once it has heard of that.
     for sender, receiver in ('pq', 'qp', 'pq'):
-        if robots[sender].meet(receiver) is not None:
+        if robots[sender].share_rendezvous(receiver) is not None:
             size = give(robots, sender, receiver)
             assert size < 5_000
 
-    of_p, of_q = (robots[one].meet(other) for one, other in ('pq', 'qp'))
+    of_p, of_q = (robots[one].share_rendezvous(other) for one, other in ('pq', 'qp'))
 
-    for own, other, meeting in (('p', 'q', of_p), ('q', 'p', of_q)):
-        base, P = meeting.alignment.base_node.pose, meeting.alignment.base_node.P
+    for own, other, result in (('p', 'q', of_p), ('q', 'p', of_q)):
+        base, P = result.alignment.base_node.pose, result.alignment.base_node.P
         error = pose_difference(base, between(true[own][0], true[other][0]))
         # Three sigmas of a pose are 3.8 of a vector of three.
         assert error @ np.linalg.solve(P, error) < 3.8**2
@@ -71,21 +72,21 @@ def test_both_robots_are_aligned_after_less_than_ten_kilobytes(experiment):
 
 def test_the_pose_of_the_other_robot_is_where_it_was_last_seen():
     robots, true = met('map_joining')
-    robots['q'].meet('p')
+    robots['q'].share_rendezvous('p')
     give(robots, 'q', 'p')
 
-    meeting = robots['p'].meet('q')
+    result = robots['p'].share_rendezvous('q')
 
-    step = round(meeting.stamp / 0.5e9)
+    step = round(result.stamp / 0.5e9)
     in_p = between(true['p'][0], true['q'][step])
-    assert_allclose(meeting.pose[:2], in_p[:2], atol=0.5)
+    assert_allclose(result.pose[:2], in_p[:2], atol=0.5)
 
 
 def test_without_a_rendezvous_there_is_nothing_to_tell():
     robots, _ = met('map_joining', change=lambda record: (
         replace(record, observations=()) if isinstance(record, RobotScan) else record))
 
-    assert robots['p'].meet('q') is None
+    assert robots['p'].share_rendezvous('q') is None
 
 
 def test_a_rendezvous_that_contradicts_the_maps_is_rejected_with_its_chi_square():
@@ -98,10 +99,10 @@ def test_a_rendezvous_that_contradicts_the_maps_is_rejected_with_its_chi_square(
             replace(o, z=o.z + rng.uniform(-0.2, 0.2, 2)) for o in record.observations))
 
     robots, _ = met('map_joining', change=displaced)
-    robots['q'].meet('p')
+    robots['q'].share_rendezvous('p')
     give(robots, 'q', 'p')
 
-    failure = robots['p'].meet('q').alignment
+    failure = robots['p'].share_rendezvous('q').alignment
 
     assert isinstance(failure, JoinFailure)
     assert 'inconsistent (chi-square' in failure.reason
@@ -109,7 +110,7 @@ def test_a_rendezvous_that_contradicts_the_maps_is_rejected_with_its_chi_square(
 
 def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
     robots, _ = met('map_joining')
-    robots['p'].meet('q')
+    robots['p'].share_rendezvous('q')
     message = b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks)
 
     window = read(message, 'p', 'q')
@@ -122,20 +123,20 @@ def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
 
 def test_information_with_numbers_that_are_not_finite_is_taken_for_none():
     robots, _ = met('map_joining')
-    robots['p'].meet('q')
+    robots['p'].share_rendezvous('q')
     window = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
     bad = write(replace(window, information=replace(
         window.information, R_sqrt=np.nan * window.information.R_sqrt)))
 
     task = replace(
-        meeting_task(robots['q'].logs, robots['q'].settings, 'p'), received=bad)
+        rendezvous_task(robots['q'].logs, robots['q'].settings, 'p'), received=bad)
 
-    assert 'has sent no rendezvous information' in meet(task).alignment.reason
+    assert 'has sent no rendezvous information' in solve_rendezvous(task).alignment.reason
 
 
 def test_poses_in_the_map_do_not_depend_on_the_frame_of_the_information():
     robots, _ = met('map_joining')
-    robots['p'].meet('q')
+    robots['p'].share_rendezvous('q')
     window = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
 
     # Row by row, the poses relative to the first of them.
@@ -147,8 +148,8 @@ def test_poses_in_the_map_do_not_depend_on_the_frame_of_the_information():
 
 def test_a_robot_without_odometry_has_nothing_to_tell_yet():
     robots, _ = met('map_joining')
-    robots['q'].meet('p')
+    robots['q'].share_rendezvous('p')
     parked = Robot('p', robots['p'].settings)
     give({'p': parked, 'q': robots['q']}, 'q', 'p')
 
-    assert parked.meet('q') is None
+    assert parked.share_rendezvous('q') is None

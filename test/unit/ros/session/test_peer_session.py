@@ -217,7 +217,7 @@ def test_maps_are_aligned_after_a_packet_with_rendezvous_information_was_lost(cl
 
     assert {log.author for log in lost} == {'p', 'q'}
     for name, other in (('p', 'q'), ('q', 'p')):
-        alignment = sessions[name].team.meetings[other].alignment
+        alignment = sessions[name].team.rendezvous_results[other].alignment
         assert not isinstance(alignment, JoinFailure), alignment
 
 
@@ -239,7 +239,7 @@ def test_an_observation_of_the_future_does_not_replace_a_rendezvous(clock):
     for name, other in (('p', 'q'), ('q', 'p')):
         team = sessions[name].team
         assert team.statistics.rejection_counts[name] == {RejectionReason.FUTURE: 1}
-        assert not isinstance(team.meetings[other].alignment, JoinFailure)
+        assert not isinstance(team.rendezvous_results[other].alignment, JoinFailure)
 
 
 @pytest.mark.parametrize('at', [0.2, 0.8])
@@ -389,7 +389,7 @@ def test_a_rendezvous_that_goes_on_does_not_keep_maps_from_being_solved(clock):
             function, _ = run.solving()
             kinds.append(function.__name__)
 
-    assert {'_met', 'smoothed_union'} == {*kinds[:2]} == {*kinds[2:4]}
+    assert {'_solved_rendezvous', 'smoothed_union'} == {*kinds[:2]} == {*kinds[2:4]}
 
 
 def test_a_parameter_file_may_list_the_own_robot_among_its_peers():
