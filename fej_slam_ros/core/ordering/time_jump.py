@@ -64,7 +64,7 @@ class Consumer(Protocol):
 class TimeJump:
     """A backward jump of the stamps of all robots."""
 
-    by: int  #: its length [ns]
+    length: int  #: [ns]
     end: int  #: stamp of the newest odometry before the jump [ns]
     pending: frozenset[Source]  #: sources from which old records may still arrive
     held: Sequence[Held]  #: records since the jump, if another run follows

@@ -44,7 +44,7 @@ def draw(file: BinaryIO, solution: CsamSolution, joint: JointMap, exchanged: Exc
         axes.grid(alpha=0.25)
         axes.legend(loc='upper center', bbox_to_anchor=(0.5, -0.1), ncols=3, fontsize='small')
     figure.suptitle(
-        f'A meeting over a link that loses {100.0 * LOSS:.0f} % of the messages, experiment A,'
+        f'A rendezvous over a link that loses {100.0 * LOSS:.0f} % of the messages, experiment A,'
         f' seed {solution.task.seed}')
     figure.savefig(file, dpi=110)
 

@@ -109,7 +109,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
     if jump is not None:
         yield error(
             TIME_JUMP, 'all robots',
-            f'time jumps back by {seconds(jump.by)}, and all later input is rejected',
+            f'time jumps back by {seconds(jump.length)}, and all later input is rejected',
             'record without playing in a loop, cut the bag there, or set on_time_jump: reset',
             trial.estimator.statistics.total(Reason.AFTER_TIME_JUMP), jump.end)
 

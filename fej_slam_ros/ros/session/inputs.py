@@ -156,7 +156,7 @@ class Inputs:
         """Return what users have to know once time has jumped back, '' before."""
         jump = self.time_jump_detector.jump
         return '' if jump is None else (
-            f'time jumped back by {jump.by / NS:.3f} s, all input is rejected: call ~/reset to'
+            f'time jumped back by {jump.length / NS:.3f} s, all input is rejected: call ~/reset to'
             ' start a new run')
 
     def close(self) -> None:

@@ -61,7 +61,7 @@ def test_input_after_a_jump_is_rejected_and_changes_no_bit():
 
     assert hashes([run]) == [HASH]
     assert counts(run) == {'after_time_jump': len(PASS)}
-    assert run.inputs.time_jump_detector.jump.by == 4000 * MS
+    assert run.inputs.time_jump_detector.jump.length == 4000 * MS
     assert not run.estimator.statistics.depends_on_arrival()
 
 
