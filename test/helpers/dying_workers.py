@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Tasks that kill their process; worker processes import them by name."""
 
+from multiprocessing.connection import Connection
 import os
 import signal
 
@@ -13,6 +14,16 @@ def die_once(task):
         file.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return number
+
+
+def die_while_answering():
+    """Return a number, but kill the process in the middle of passing it on."""
+    def send_half(self, buffer, write=os.write):
+        write(self.fileno(), buffer[:len(buffer) // 2])
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    Connection._send = send_half
+    return 1
 
 
 def die_at_2(number):

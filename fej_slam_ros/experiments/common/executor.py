@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 
 from fej_slam_ros.child_process import end_with_parent
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.interrupts import INTERRUPTS
+from fej_slam_ros.interrupts import INTERRUPTS, postponed
 
 #: Number of worker processes that may end during the same run before it is given up.
 MAX_ATTEMPTS = 3
@@ -83,11 +83,16 @@ class WorkerProcesses(ThreadPoolExecutor):
         with self._lock:
             if self._is_stopped:
                 raise CancelledError
-            if not hasattr(self._of_thread, 'pool'):
-                self._of_thread.pool = _pool()
-                self._pools.append(self._of_thread.pool)
-            pool: ProcessPoolExecutor = self._of_thread.pool
-            return pool.submit(function, *args, **kwargs)
+            if hasattr(self._of_thread, 'pool'):
+                submitted: Future[ResultT] = self._of_thread.pool.submit(function, *args, **kwargs)
+                return submitted
+            pool = self._of_thread.pool = _pool()
+            self._pools.append(pool)
+            submitted = pool.submit(function, *args, **kwargs)
+            # Only the process writes results. This end would keep the pool waiting for the rest of
+            # a result during which the process is killed.
+            pool._result_queue._writer.close()  # type: ignore[attr-defined]  # noqa: SLF001
+            return submitted
 
 
 @contextmanager
@@ -108,10 +113,13 @@ def in_order(
     executor: Executor, function: Callable[[TaskT], ResultT], tasks: Iterable[TaskT]
 ) -> Generator[ResultT, None, None]:
     """Yield results in the order of the tasks; closing it drops the tasks that have not begun."""
-    # Workers inherit the mask: an interrupt reaches this process only, which then ends them.
+    # Workers inherit the mask: an interrupt reaches this process only, which then ends them. Its
+    # handler may still be called, after another thread has received it, but not while `map` holds
+    # locks that the end needs.
     before = signal.pthread_sigmask(signal.SIG_BLOCK, INTERRUPTS)
     try:
-        results = executor.map(function, tasks)
+        with postponed():
+            results = executor.map(function, tasks)
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
     yield from results

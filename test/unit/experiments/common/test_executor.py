@@ -11,7 +11,7 @@ import pytest
 
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
-from helpers.dying_workers import die_at_2, die_once
+from helpers.dying_workers import die_at_2, die_once, die_while_answering
 
 #: A process that says who its workers are and then waits to be killed.
 EMPLOYER = """
@@ -48,6 +48,12 @@ def test_a_task_that_kills_each_worker_ends_after_the_earlier_results_with_a_cur
         finished.extend(in_order(executor, die_at_2, range(5)))
 
     assert finished == [0, 1]
+
+
+def test_a_worker_that_is_killed_while_it_answers_is_missed():
+    with processes(1) as executor, pytest.raises(UserError, match='ended unexpectedly'):
+        # Without an end the result would never come.
+        executor.submit(die_while_answering).result(timeout=60.0)
 
 
 def test_workers_end_with_a_parent_that_was_killed():
