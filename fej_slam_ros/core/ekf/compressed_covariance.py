@@ -9,19 +9,26 @@ submap A only, the other states B follow from three quantities:
 
     P_AB = Phi P_AB(0),  P_BB = P_BB(0) - P_BA(0) Psi P_AB(0),  x_B = x_B(0) + P_BA(0) theta.
 
-The filter obtains them from proxy states g: it runs on A and g, where g starts with covariance 0
-and with cross-covariance I to A. From then on cov(A, g) is Phi, cov(g) is -Psi and the correction
-of g is theta. Nothing is approximated.
+The filter obtains them from proxy states g, the whitened errors of A at the start, which nothing
+moves: e_A(0) = L g with P_AA(0) = L L^T. It runs on A and g, with cov(A, g) = L and cov(g) = I at
+the start. The errors of B are C g and a rest independent of A, with C = P_BA(0) L^-T, so that
 
-A state l of B may enter A at any time, as if it had been in A from the start: its covariance with
-A and g is P_lA(0) cov(g, .), and its own proxy has covariance 1 with it and 0 with all others.
-Any state may be removed: the proxies and P_BA(0) stay, by which the states of B follow.
+    P_BA = C cov(g, A),  P_BB = P_BB(0) - C (I - cov(g)) C^T,  x_B = x_B(0) + C dg,
+
+where dg is the correction of g. Nothing is approximated, and rounding is that of P: without the
+whitening, it would grow with the product of both |P_BA(0)| and the inverse of P_AA(0), where all
+share a large error.
+
+A state l of B may enter A at any time, as if it had been in A from the start: it is C_l g and its
+rest, which is whitened by proxies of its own. Any state may be removed: the proxies and C stay, by
+which the states of B follow.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
 from copy import copy, deepcopy
 
 import numpy as np
+from scipy.linalg.blas import dtrsm
 from scipy.linalg.lapack import dpstrf
 
 from fej_slam_ros.core.ekf.covariance import (
@@ -60,17 +67,19 @@ class CompressedCovariance:
         whole.matrix.settle()
         self._whole = whole
         self._members = members
-        #: P_lA(0) of all states l from before the submap, in the order of the proxies; as many
-        #: columns as there are proxies, and zero columns for more
-        self._P_lA: Array = whole.matrix.columns(members)[:whole.dimension]
-        # States of the core: members, their proxies, new members.
-        P, I_a = whole.matrix.at(members[:, None], members), np.eye(a)
+        P, P_lA = (whole.matrix.at(members[:, None], members),
+                   whole.matrix.columns(members)[:whole.dimension])
+        #: C of all states from before the submap; as many columns as there are proxies, and zero
+        #: columns for more
+        L, self._C = _whitened(P, P_lA, np.diag(P))
+        # States of the core: members, proxies, new members.
+        g = L.shape[1]
         self._core = Covariance()
-        self._core.insert(np.block([[P, I_a], [I_a, np.zeros((a, a))]]))
-        self._proxies = np.arange(a, 2 * a)
+        self._core.insert(np.block([[P, L], [L.T, np.eye(g)]]))
+        self._proxies = np.arange(a, a + g)
         self._core_index = np.full(whole.dimension, -1)
         self._core_index[members] = np.arange(a)
-        self._theta = np.zeros(a)
+        self._dg = np.zeros(g)
         self._dimension_at_start = self._core.dimension
         #: Flops of updates that a submap without the states that entered would not have cost
         self._flops_of_growth = 0.0
@@ -78,7 +87,7 @@ class CompressedCovariance:
     def __copy__(self) -> 'CompressedCovariance':
         """Return a copy for an update of the submap; both share the states outside."""
         copied = object.__new__(CompressedCovariance)
-        vars(copied).update(vars(self) | {'_core': copy(self._core), '_theta': self._theta.copy()})
+        vars(copied).update(vars(self) | {'_core': copy(self._core), '_dg': self._dg.copy()})
         return copied
 
     @property
@@ -113,24 +122,30 @@ class CompressedCovariance:
     def _entered(self, states: Indices, x_hat: Array) -> Array:
         """Let states from outside enter; return the estimate (n,) with them."""
         P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
-        P_lA, k, b = self._prior_cross(states), core.dimension, len(states)
-        x_hat[states] += P_lA @ self._theta
-        cross = product(P_lA, core.columns(self._proxies)[:k].T)
-        P_l = P.at(states[:, None], states) + product(cross[:, self._proxies], P_lA.T)
-        start, I_b = core.append(2 * b), np.eye(b)
-        entered, proxies = np.arange(start, start + b), np.arange(start + b, start + 2 * b)
+        C_l, k, b = self._combination(states), core.dimension, len(states)
+        x_hat[states] += C_l @ self._dg
+        cross = product(C_l, core.columns(self._proxies)[:k].T)
+        C, P_l = self._C[:, :len(self._proxies)], P.at(states[:, None], states)
+        rest = P_l - C_l @ C_l.T
+        L, C_added = _whitened(
+            rest, P.columns(states)[:len(C)] - product(C, C_l.T), np.diag(P_l))
+        g = L.shape[1]
+        start = core.append(b + g)
+        entered, proxies = np.arange(start, start + b), np.arange(start + b, start + b + g)
         core.lower[start:start + b, :k] = cross
-        core.lower[start:start + b, start:start + b] = P_l
-        core.lower[start + b:start + 2 * b, start:start + b] = I_b
+        core.lower[start:start + b, start:start + b] = (
+            product(cross[:, self._proxies], C_l.T) + rest)
+        core.lower[start + b:start + b + g, start:start + b] = L.T
+        core.lower[proxies, proxies] = 1.0
         self._core_index[states] = entered
-        self._add_prior_cross(P.columns(states)[:len(self._P_lA)])
+        self._add_combinations(C_added)
         self._members = np.append(self._members, states)
         self._proxies = np.append(self._proxies, proxies)
-        self._theta = np.append(self._theta, np.zeros(b))
+        self._dg = np.append(self._dg, np.zeros(g))
         return x_hat
 
     def current_estimates(self, x: Array, indices: Indices) -> Array:
-        """Return estimates x of the states `indices`, with P_BA(0) theta added to those of B."""
+        """Return estimates x of the states `indices`, with C dg added to those of B."""
         return x if self._contains(indices) else x + self._pending(indices)
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
@@ -183,9 +198,9 @@ class CompressedCovariance:
         self._whole.remove(slots, others)
         if len(in_core):
             self._core.matrix.remove(in_core)
-        rows = removed[removed < len(self._P_lA)]
+        rows = removed[removed < len(self._C)]
         if len(rows):
-            self._P_lA = np.delete(self._P_lA, rows, axis=0)
+            self._C = np.delete(self._C, rows, axis=0)
         self._members = place[np.setdiff1d(self._members, removed)]
         self._proxies = place_in_core[self._proxies]
         core_index = np.delete(self._core_index, removed)
@@ -209,7 +224,7 @@ class CompressedCovariance:
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - W W^T to the submap and its proxies: 2 m (2 a)^2 flops."""
         self._core.condition(correction)
-        self._theta += (correction.W @ correction.y)[self._proxies]
+        self._dg += (correction.W @ correction.y)[self._proxies]
         self._flops_of_growth += len(correction.y) * (
             self._core.dimension ** 2 - self._dimension_at_start ** 2)
 
@@ -217,19 +232,19 @@ class CompressedCovariance:
         """
         Return the covariance of all states and the estimate (n,); this object is of no more use.
 
-        Psi = L L^T has a rank p <= a; the cost is about p n^2 + 2 n a (p + members) flops. If it
-        may end early, it raises EndedError then and changes nothing.
+        The rank p of I - cov(g) is at most a; the cost is about p n^2 + 2 n a (p + members) flops.
+        If it may end early, it raises EndedError then and changes nothing.
 
         """
         n, members = self.dimension, self._members
         core, P = self._core_index[members], self._core.matrix
         P.settle()
-        P_BA = np.zeros((len(self._whole.matrix.lower), len(self._proxies)), order='F')
+        C = np.zeros((len(self._whole.matrix.lower), len(self._proxies)), order='F')
         for part in ranges(len(self._proxies), PIECE_ELEMENTS / n):
-            P_BA[:len(self._P_lA), part] = self._P_lA[:, part]
-        W = product(self._root_of_Psi().T, P_BA.T, may_end).T  # 2 n a p, in Fortran order
-        Phi = P.at(core[:, None], self._proxies)
-        P_A, dx = product(P_BA, Phi.T, may_end), P_BA[:n] @ self._theta  # 2 n a (members)
+            C[:len(self._C), part] = self._C[:, part]
+        W = product(self._learnt_root().T, C.T, may_end).T  # 2 n a p, in Fortran order
+        P_gA = P.at(self._proxies[:, None], core)
+        P_A, dx = product(C, P_gA, may_end), C[:n] @ self._dg  # 2 n a (members)
         W[members] = dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
         pause()
@@ -237,26 +252,29 @@ class CompressedCovariance:
         self._whole.matrix.replace_columns(members, P_A)
         return self._whole, x_hat + dx
 
-    def _root_of_Psi(self) -> Array:
-        """Return L (a, p) of rank p with L L^T = Psi, for a^3 / 3 flops."""
-        Psi = -self._core.matrix.at(self._proxies[:, None], self._proxies)
+    def _learnt_root(self) -> Array:
+        """Return a root (g, p) of what was learnt about g, I - cov(g), for g^3 / 3 flops."""
+        learnt = -self._minus_learnt()
         pause()
-        L, pivots, rank, _ = dpstrf(Psi, lower=1)
+        root, _ = _pivoted_root(learnt)
         pause()
-        root = np.zeros((len(L), rank))
-        root[pivots - 1] = np.tril(L)[:, :rank]
         return root
+
+    def _minus_learnt(self) -> Array:
+        """Return cov(g) - I."""
+        minus_learnt = self._core.matrix.at(self._proxies[:, None], self._proxies)
+        minus_learnt[np.diag_indices(len(minus_learnt))] -= 1.0
+        return minus_learnt
 
     def _many_blocks(self, indices: Indices, outside: Flags) -> Array:
         """Return `blocks` of groups that are all outside or inside: P_BB(0) - P_BA Psi P_AB."""
         k, d = indices.shape
         P, others = np.empty((k, d, d)), indices[outside]
         P[~outside] = self._core.blocks(self._core_index[indices[~outside]])
-        P_BA = self._prior_cross(others.ravel())
-        minus_Psi = self._core.matrix.at(self._proxies[:, None], self._proxies)
-        P_BA_Psi = product(P_BA, minus_Psi).reshape(len(others), d, -1)
-        P_AB = P_BA.reshape(len(others), d, -1).transpose(0, 2, 1)
-        P[outside] = self._whole.blocks(others) + P_BA_Psi @ P_AB
+        C = self._combination(others.ravel())
+        C_learnt = product(C, self._minus_learnt()).reshape(len(others), d, -1)
+        C_T = C.reshape(len(others), d, -1).transpose(0, 2, 1)
+        P[outside] = self._whole.blocks(others) + C_learnt @ C_T
         return P
 
     def _joint(self, indices: Indices) -> Array:
@@ -269,36 +287,39 @@ class CompressedCovariance:
         return P
 
     def _pending(self, indices: Indices) -> Array:
-        """Return P_BA(0) theta of states outside the submap, and 0 inside."""
+        """Return C dg of states outside the submap, and 0 inside."""
         change, outside = np.zeros(indices.shape), self._is_outside(indices)
-        change[outside] = self._prior_cross(indices[outside]) @ self._theta
+        change[outside] = self._combination(indices[outside]) @ self._dg
         return change
 
     def _combinations(self, indices: Indices) -> Array:
-        """Return states as linear combinations (k, core) of the core's states."""
+        """Return states as linear combinations (k, core) of the core's, but for their rest."""
         outside = self._is_outside(indices)
         rows = np.zeros((len(indices), self._core.dimension))
         rows[~outside, self._core_index[indices[~outside]]] = 1.0
-        rows[np.ix_(outside, self._proxies)] = self._prior_cross(indices[outside])
+        rows[np.ix_(outside, self._proxies)] = self._combination(indices[outside])
         return rows
 
-    def _prior_cross(self, outside: Indices) -> Array:
-        """Return P_lA(0) (k, a) of k states outside, in the order of the proxies."""
-        P_lA: Array = self._P_lA[outside, :len(self._proxies)]
-        return P_lA
+    def _combination(self, outside: Indices) -> Array:
+        """Return C (k, g) of k states outside, in the order of the proxies."""
+        C: Array = self._C[outside, :len(self._proxies)]
+        return C
 
-    def _add_prior_cross(self, columns: Array) -> None:
-        """Add columns of P_lA(0) for proxies that are to be added."""
+    def _add_combinations(self, columns: Array) -> None:
+        """Add columns of C for proxies that are to be added."""
         count, needed = len(self._proxies), len(self._proxies) + columns.shape[1]
-        if needed > self._P_lA.shape[1]:
-            stored = np.zeros((len(self._P_lA), 2 * needed), order='F')
-            stored[:, :count] = self._P_lA[:, :count]
-            self._P_lA = stored
-        self._P_lA[:, count:needed] = columns
+        if needed > self._C.shape[1]:
+            stored = np.zeros((len(self._C), 2 * needed), order='F')
+            stored[:, :count] = self._C[:, :count]
+            self._C = stored
+        self._C[:, count:needed] = columns
 
     def _P_core(self) -> Array:
+        """Return the change of P by the core's states: their P, less I of the proxies."""
         every = np.arange(self._core.dimension)
-        return self._core.matrix.at(every[:, None], every)
+        P = self._core.matrix.at(every[:, None], every)
+        P[self._proxies, self._proxies] -= 1.0
+        return P
 
     def _contains(self, indices: Indices) -> bool:
         # States outside have the index -1; faster than a comparison of each.
@@ -317,6 +338,35 @@ class CompressedCovariance:
         self._members = np.append(self._members, slot.indices)
         self._core_index = np.append(self._core_index, in_core.indices)
         return slot
+
+
+def _whitened(P: Array, cross: Array, scale: Array) -> tuple[Array, Array]:
+    """
+    Return L (a, g) with P = L L^T, and C (n, g) with cross = C L^T, for n g^2 flops.
+
+    Parameters
+    ----------
+    P : (a, a) array, a covariance of rank g within rounding
+    cross : (n, a) array, the covariance of other states with these
+    scale : (a,) array, variances to whose rounding elements of P are known
+
+    """
+    sigma = np.sqrt(np.where(scale > 0.0, scale, 1.0))
+    root, chosen = _pivoted_root(P / np.outer(sigma, sigma), len(P) * np.finfo(float).eps)
+    L: Array = sigma[:, None] * root
+    if not len(chosen):
+        return L, np.zeros((len(cross), 0), order='F')
+    # The chosen rows, in this order, are a triangle.
+    C: Array = dtrsm(1.0, L[chosen], cross[:, chosen], side=1, lower=1, trans_a=1)
+    return L, C
+
+
+def _pivoted_root(P: Array, tolerance: float = -1.0) -> tuple[Array, Indices]:
+    """Return a root (a, p) of a positive semidefinite P (a, a) of rank p, and its pivots (p,)."""
+    L, pivots, rank, _ = dpstrf(P, tol=tolerance, lower=1)
+    root = np.zeros((len(L), rank))
+    root[pivots - 1] = np.tril(L)[:, :rank]
+    return root, pivots[:rank] - 1
 
 
 #: The two forms of the joint covariance, with the same methods for the filter's steps.

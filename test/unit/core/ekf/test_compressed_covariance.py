@@ -33,9 +33,15 @@ SIZES = (3, *[2] * 20)
 REGION = np.arange(13)
 
 
-def whole_and_region(rng):
-    """Return a covariance of everything, the same in a region, and the slots of both."""
+def whole_and_region(rng, known=()):
+    """
+    Return a covariance of everything, the same in a region, and the slots of both.
+
+    Some states may be known exactly.
+
+    """
     P = random_covariance(rng, sum(SIZES))
+    P[[*known]] = P[:, [*known]] = 0.0
     covariances = []
     for _ in range(2):
         covariance = Covariance()
@@ -64,8 +70,9 @@ def happen(covariance, slots, rng):
     return joint, x
 
 
-def test_a_submap_gives_the_same_covariance_as_the_whole_state():
-    whole, region, slots = whole_and_region(np.random.default_rng(1))
+@pytest.mark.parametrize('known', [(), (3, 4, 9), REGION])
+def test_a_submap_gives_the_same_covariance_as_the_whole_state(known):
+    whole, region, slots = whole_and_region(np.random.default_rng(1), known)
 
     joint, dx = happen(whole, slots, np.random.default_rng(2))
     also, dx_region = happen(region, slots, np.random.default_rng(2))
@@ -80,8 +87,9 @@ def test_a_submap_gives_the_same_covariance_as_the_whole_state():
     assert_allclose(x, dx, atol=1e-12)
 
 
-def test_states_that_enter_a_submap_give_the_same_covariance_as_the_whole_state():
-    whole, region, slots = whole_and_region(np.random.default_rng(1))
+@pytest.mark.parametrize('known', [(), (3, 4, 35, 36)])
+def test_states_that_enter_a_submap_give_the_same_covariance_as_the_whole_state(known):
+    whole, region, slots = whole_and_region(np.random.default_rng(1), known)
     joint, dx = happen(whole, slots, np.random.default_rng(2))
     _, x = happen(region, slots, np.random.default_rng(2))
     entering = [slots[17], slots[9]]
@@ -181,12 +189,17 @@ def town(landmarks, steps, seed):
     return start, happened
 
 
-def run(town, regions, linearization):
-    """Return a filter at the end of what happened, and how often it entered a region."""
+def run(town, regions, linearization, sigma=(0.1, 0.1, 0.01)):
+    """
+    Return a filter at the end of what happened, and how often it entered a region.
+
+    `sigma` are the standard deviations of the start poses.
+
+    """
     start, happened = town
     filter_ = Filter(JointState(), linearization, Gate(0.999), submap=regions)
     for name, pose in start.items():
-        filter_.state.insert_robot(name, 0, pose, np.diag([0.1, 0.1, 0.01]) ** 2)
+        filter_.state.insert_robot(name, 0, pose, np.diag(sigma) ** 2)
     entered, last = 0, None
     for motions, scans in happened:
         filter_.step(motions, scans)
@@ -210,6 +223,20 @@ def test_a_filter_with_submaps_equals_the_full_filter_over_two_thousand_steps(li
     assert_array_equal(compressed.state.x_first.shape, whole.state.x_first.shape)
     assert_allclose(
         compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
+
+
+def test_rounding_is_that_of_the_whole_state_where_all_states_share_a_large_error():
+    scenario, sigma = town(landmarks=250, steps=1000, seed=1), (300.0, 300.0, 0.2)
+
+    whole, _ = run(scenario, WHOLE_MAP, FirstEstimates(), sigma)
+    compressed, entered = run(scenario, ActiveSubmap(200, 15), FirstEstimates(), sigma)
+
+    assert entered > 10
+    variables = whole.state.variables()
+    # Elements of P of 1e5 m^2 are rounded to 1e-11 m^2, some thousand times.
+    assert_allclose(compressed.state.estimates(), whole.state.x_hat, atol=1e-6)
+    assert_allclose(
+        compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-5)
 
 
 def test_reading_estimates_changes_no_bit():
