@@ -22,7 +22,7 @@ from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth, Truth
 from fej_slam_ros.core.joining.rendezvous import marginalize, rendezvous_keys_of
-from fej_slam_ros.core.records import LandmarkKey, Motion, PriorMap
+from fej_slam_ros.core.records import is_too_uncertain, LandmarkKey, Motion, PriorMap
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 
 
@@ -141,9 +141,30 @@ class FrameGroups:
         if robot == self._settings.anchor:
             self.is_initialized = True
 
+    def has_reference(self) -> bool:
+        """Return whether landmarks, robots or start poses in ``map`` fix it besides the anchor."""
+        others = self.team.robots.keys() - {self._settings.anchor}
+        return self._has_joined_robots or bool(others or self.team.state.landmarks) or any(
+            robot.start_pose is not None for robot in self._settings.robots)
+
+    def is_map_given(self) -> bool:
+        """Return whether ``map`` is a place, not only the start of its anchor."""
+        return any(self._settings.anchor_pose) or self.has_reference()
+
     def begin(self, robot: RobotSettings, stamp: int) -> None:
-        """Add a robot at its first odometry: to ``map`` if its initial pose is known."""
+        """
+        Add a robot at its first odometry: to ``map`` if its initial pose is known.
+
+        One that is too uncertain to linearise is not known, unless the anchor defines ``map`` by
+        it or step 0 is to solve for it.
+
+        """
         initial = self._initial_pose(robot)
+        if initial is not None and is_too_uncertain(np.diag(np.square(initial[1]))) and (
+                self.has_reference() if robot.name == self._settings.anchor
+                else self.is_initialized):
+            self.void_start(robot.name, 'its start pose is too uncertain to linearise')
+            initial = None
         if initial is None:
             self._begin_own_frame(robot.name, stamp)
             return
@@ -158,10 +179,10 @@ class FrameGroups:
     def restart(self, robot: RobotSettings, stamp: int, reason: str) -> None:
         """Restart a robot whose pose is unknown: it relocalizes by joining with a new map."""
         self._take_out(robot.name)
-        # An anchor that has observed no landmark yet may restart at the origin of ``map``, unless
-        # other robots joined it there: then there is no step 0.
+        # An anchor that has observed no landmark yet may begin ``map`` anew where it is, unless
+        # that is a given place: then there is no step 0.
         if robot.name == self._settings.anchor and (
-                self._has_joined_robots or robot.name in self._void_starts):
+                self.is_map_given() or robot.name in self._void_starts):
             self.is_initialized = True
         if self.may_leave(robot.name):
             self._void_starts[robot.name] = reason

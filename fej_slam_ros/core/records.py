@@ -137,7 +137,7 @@ class PosePrior:
 
     def is_too_uncertain(self) -> bool:
         """Return whether the pose is too uncertain to linearise."""
-        return _is_too_uncertain(self.P)
+        return is_too_uncertain(self.P)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +169,7 @@ class Motion:
 
     def is_too_uncertain(self) -> bool:
         """Return whether the motion is too uncertain to linearise."""
-        return _is_too_uncertain(self.Q)
+        return is_too_uncertain(self.Q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -186,7 +186,8 @@ class Step:
     robot_scans: tuple[RobotScan, ...] = ()
 
 
-def _is_too_uncertain(P: Array) -> bool:
+def is_too_uncertain(P: Array) -> bool:
+    """Return whether a pose or motion with covariance P (3, 3) is too uncertain to linearise."""
     x, y, phi = P.diagonal().tolist()
     return not (
         max(x, y) <= MAX_LINEAR_POSITION_SIGMA ** 2 and phi <= MAX_LINEAR_HEADING_SIGMA ** 2)

@@ -11,6 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import combinations
 
+import numpy as np
+
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
@@ -24,7 +26,8 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
-from fej_slam_ros.core.records import NO_ID, NS, RendezvousKey, RobotScan, Step
+from fej_slam_ros.core.records import (
+    is_too_uncertain, NO_ID, NS, RendezvousKey, RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
@@ -89,10 +92,23 @@ class TeamJoiner:
             others = [group.state for group in self._groups.others]
             marginalize(team.state.rendezvous_points, others)
             team.filter.state = state
+        self._restart_uncertain(step.stamp)
         for group in [*self._groups.others]:
             if group.owner in team.robots.keys() & group.robots.keys():
                 self._join_via_robot(group, group.owner)
         return state is not None
+
+    def _restart_uncertain(self, stamp: int) -> None:
+        """Restart robots whose poses are too uncertain to linearise after step 0."""
+        team = self._groups.team
+        anchor = team.robots.get(self._settings.anchor)
+        # The error of the anchor turns the whole map.
+        P_map = np.zeros((3, 3)) if anchor is None else team.state.marginal([anchor])
+        for name, robot in [*team.robots.items()]:
+            if is_too_uncertain(team.state.marginal([robot]) - P_map):
+                reason = 'its pose is too uncertain to linearise'
+                self._statistics.count_restart(name, reason)
+                self._groups.restart(self._groups.robots[name], stamp, reason)
 
     def add_rendezvous_points(
         self, scan: RobotScan, is_suspected: Callable[[str], bool]

@@ -67,8 +67,8 @@ class CompressedCovariance:
         whole.matrix.settle()
         self._whole = whole
         self._members = members
-        P, P_lA = (whole.matrix.at(members[:, None], members),
-                   whole.matrix.columns(members)[:whole.dimension])
+        P = whole.matrix.at(members[:, None], members)
+        P_lA = whole.matrix.columns(members)[:whole.dimension]
         #: C of all states from before the submap; as many columns as there are proxies, and zero
         #: columns for more
         L, self._C = _whitened(P, P_lA, np.diag(P))

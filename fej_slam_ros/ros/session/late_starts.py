@@ -81,20 +81,17 @@ class LateStarts:
     Parameters
     ----------
     estimator : receives the odometry
-    has_prior_map : whether landmarks in ``map`` are known
     messages : number of messages missed on each topic
     add_line : adds a line to the log of the run
 
     """
 
     def __init__(
-        self, estimator: Estimator, has_prior_map: bool, messages: MissedMessages,
-        add_line: AddLine,
+        self, estimator: Estimator, messages: MissedMessages, add_line: AddLine
     ) -> None:
         self._estimator = estimator
         self._messages = messages
         self._add_line = add_line
-        self._has_prior_map = has_prior_map
         self._checked = {name for group in estimator.groups for name in group.robots}
         self._held: defaultdict[str, list[ArrivedOdometry]] = defaultdict(list)
 
@@ -149,7 +146,7 @@ class LateStarts:
                 f' received ({missed} messages missed): it starts that far from its start pose')
 
     def _void(self, robot: str, reason: str) -> None:
-        if robot == self._estimator.settings.anchor and not self._is_map_given():
+        if robot == self._estimator.settings.anchor and not self._estimator.groups.is_map_given():
             self._add_line(LogSeverity.INFO, f'map begins where {robot} is now: {reason}')
         else:
             self._estimator.groups.void_start(robot, f'its start pose is not valid: {reason}')
@@ -157,12 +154,6 @@ class LateStarts:
                 LogSeverity.WARN,
                 f'the start pose of {robot} is not used: {reason}; it joins by shared'
                 ' landmarks or robot-to-robot observations, or by a pose on its topic set_pose')
-
-    def _is_map_given(self) -> bool:
-        """Return whether the frame ``map`` is defined by more than the anchor."""
-        settings = self._estimator.settings
-        return self._has_prior_map or any(settings.anchor_pose) or any(
-            robot.start_pose is not None for robot in settings.robots)
 
 
 class LateAnchor(NothingMissed):

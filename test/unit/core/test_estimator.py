@@ -229,6 +229,18 @@ def test_a_robot_with_known_initial_pose_is_in_the_map_from_its_first_odometry(f
     assert not estimator.groups.not_in_map
 
 
+@pytest.mark.parametrize(('seen', 'frame'), [(BY_R2, 'map'), ([], 'r2/map')])
+def test_step_0_solves_for_an_uncertain_start_or_the_robot_is_not_in_map(seen, frame):
+    # A heading sigma of 1 rad is too large to linearise, but step 0 iterates.
+    options = team(known=[('r2', R2_POSE, (0.1, 0.1, 1.0))], anchor_pose=ANCHOR_POSE)
+
+    estimator, results = run(options, *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, seen))
+
+    assert frames_of('r2', results)[0] == frame
+    assert estimator.pose('r2').frame == frame
+    assert ('r2' in estimator.statistics.restart_reasons) is (frame != 'map')
+
+
 def test_shared_ids_are_one_landmark():
     options = team(known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE)
 

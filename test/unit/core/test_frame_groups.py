@@ -118,6 +118,38 @@ def test_a_lost_anchor_restarts_at_its_initial_pose_only_before_step_0(is_initia
     assert groups.may_leave('r2')
 
 
+@pytest.mark.parametrize('given', [
+    {'prior': PriorMap((1,), np.ones((1, 2)), np.eye(2))}, {'anchor_pose': (1.0, 0.0, 0.0)},
+    {'known': [('r2', (4.0, 0.0, 0.0), (0.1, 0.1, 0.1))]}])
+def test_a_lost_anchor_does_not_return_to_its_initial_pose_in_a_map_that_is_given(given):
+    groups = groups_of('r1', 'r2', **given)
+
+    groups.restart(groups.robots['r1'], 9, 'its odometry jumped')
+
+    assert groups.of('r1').frame == 'r1/map'
+    assert groups.not_in_map['r1'] == 'its odometry jumped'
+    # Nobody waits for its step 0.
+    assert groups.is_initialized
+
+
+@pytest.mark.parametrize(('sigma', 'frame'), [(0.3, 'map'), (0.5, 'r1/map')])
+@pytest.mark.parametrize('options_of', [
+    lambda sigma: {'anchor_sigma': sigma, 'prior': PriorMap((1,), np.ones((1, 2)), np.eye(2))},
+    lambda sigma: {'anchor': '', 'known': [('r1', (4.0, 0.0, 0.0), sigma)]}])
+def test_a_start_that_is_too_uncertain_to_linearise_counts_as_unknown(sigma, frame, options_of):
+    # The limit is that of motions and of poses on set_pose, 0.3 rad.
+    groups = groups_of('r1', 'r2', **options_of((0.1, 0.1, sigma)))
+
+    assert groups.of('r1').frame == frame
+    assert ('too uncertain' in groups.not_in_map.get('r1', '')) is (sigma > 0.3)
+
+
+def test_an_anchor_that_alone_defines_map_does_so_however_uncertain_its_pose():
+    groups = groups_of('r1', 'r2', anchor_pose=(5.0, 5.0, 1.0), anchor_sigma=(9.0, 9.0, 3.0))
+
+    assert groups.of('r1').frame == 'map'
+
+
 def test_a_map_lists_landmarks_by_id_with_positions_and_covariances():
     groups = groups_of('r1')
     for number in (9, 4):
