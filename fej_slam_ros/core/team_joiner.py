@@ -32,8 +32,10 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
 
-#: Time between two comparisons of the landmarks without ID of two groups [ns].
+#: Time between two comparisons of the landmarks without ID of two groups [ns], and between two
+#: attempts to join groups that share so many variables; the cost of one grows with their cube.
 COMPARISON_PERIOD = NS
+VARIABLES_OF_PERIOD = 200
 
 
 class TeamJoiner:
@@ -63,6 +65,8 @@ class TeamJoiner:
         # When the landmarks without ID of two groups were compared [ns], and why they do not join,
         # by the owners of the groups.
         self._compared: dict[tuple[str, str], tuple[int, str]] = {}
+        # When joining them is attempted again [ns], and why it failed, likewise.
+        self._postponed: dict[tuple[str, str], tuple[int, str]] = {}
 
     def change_settings(self, settings: Settings) -> None:
         """Use other conditions of joining from now on."""
@@ -190,7 +194,7 @@ class TeamJoiner:
 
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group; on failure, remove what contradicts the rest."""
-        failure = self._joiner.join(group.filter, other.filter)
+        failure = self._join_by_shared(group, other)
         if failure is not None and not failure.has_outliers() and all(
                 any_without_id(frame_group.state) for frame_group in (group, other)):
             failure = self._join_by_constellation(group, other)
@@ -206,6 +210,20 @@ class TeamJoiner:
                     self._remove_outlying(state, state.landmarks[key])
         return failure
 
+    def _join_by_shared(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
+        """Join another group to a group, but not again soon if that is expensive."""
+        names, newest = (group.owner, other.owner), _newest_stamp(other)
+        due, reason = self._postponed.get(names, (newest, ''))
+        if newest < due:
+            return JoinFailure(reason)
+        failure = self._joiner.join(group.filter, other.filter)
+        self._postponed.pop(names, None)
+        if failure is not None and not failure.has_outliers():
+            shared = len(group.state.landmarks.keys() & other.state.landmarks.keys())
+            pause = int(COMPARISON_PERIOD * (shared / VARIABLES_OF_PERIOD) ** 3)
+            self._postponed[names] = newest + pause, failure.reason
+        return failure
+
     def _remove_outlying(self, state: JointState, landmark: Landmark) -> None:
         """Remove a landmark; a single observation that has started it is rejected."""
         state.remove(landmark)
@@ -216,7 +234,7 @@ class TeamJoiner:
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group that has the same landmarks without ID."""
         names = group.owner, other.owner
-        newest = max((robot.stamp for robot in other.robots.values()), default=0)
+        newest = _newest_stamp(other)
         compared_at, reason = self._compared.get(names, (-COMPARISON_PERIOD, ''))
         if 0 <= newest - compared_at < COMPARISON_PERIOD:
             return JoinFailure(reason)
@@ -252,6 +270,10 @@ class TeamJoiner:
         self._statistics.reject_observation(Rejection(
             key.observer, key.stamp, reason, id=self._groups.robots[key.observed].id, d2=d2,
             threshold=threshold, observed=key.observed))
+
+
+def _newest_stamp(group: FrameGroup) -> int:
+    return max((robot.stamp for robot in group.robots.values()), default=0)
 
 
 def _map_joiner(settings: Settings) -> MapJoiner:

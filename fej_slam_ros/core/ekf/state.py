@@ -8,9 +8,10 @@ its covariance. Robots are independent between updates, so each pose has its own
 """
 
 from collections.abc import Iterable, Sequence
+from copy import copy
 from dataclasses import dataclass, field
 import sys
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -111,6 +112,7 @@ class RendezvousPoint:
 
 
 Variable = Robot | Landmark | RendezvousPoint
+VariableT = TypeVar('VariableT', bound=Variable)
 
 #: States of a pose and of a position, counted from the start of the variable.
 POSE, POSITION = np.arange(3), np.arange(2)
@@ -337,6 +339,23 @@ class JointState(VariableSet):
         self._add(variable)
         self.x_hat = np.append(self.x_hat, value)
         self.x_first = np.append(self.x_first, value)
+
+
+def part_of(state: JointState, variables: Sequence[Variable]) -> JointState:
+    """Return a state of some variables only, in their order, with their joint marginal."""
+    covariance = Covariance()
+    slots = covariance.insert(state.marginal(variables)).split([v.slot.size for v in variables])
+    return JointState(
+        [at_slot(variable, slot) for variable, slot in zip(variables, slots)],
+        np.concatenate([state.estimate(variable) for variable in variables]),
+        np.concatenate([state.first_estimate(variable) for variable in variables]), covariance)
+
+
+def at_slot(variable: VariableT, slot: Slot) -> VariableT:
+    """Return a copy of a variable, with its evidence, at another slot."""
+    moved = copy(variable)
+    moved.slot = slot
+    return moved
 
 
 def state_of_prior_map(prior: PriorMap) -> JointState:

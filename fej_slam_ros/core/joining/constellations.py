@@ -11,7 +11,8 @@ other has half as many: in a row of posts, every shift by a post is one.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass
 from itertools import islice
 
 import numpy as np
@@ -181,11 +182,9 @@ def _differ(one: _Hypothesis, other: _Hypothesis, points: Array) -> bool:
 def _renamed(state: JointState, new_keys: dict[tuple[str, int], tuple[str, int]]) -> JointState:
     """Return a copy of a state with other keys of its landmarks."""
     def with_key(landmark: Landmark) -> Landmark:
-        renamed = replace(
-            landmark, key=new_keys.get(landmark.key, landmark.key),
-            distinct={new_keys.get(key, key) for key in landmark.distinct})
-        renamed.last_accepted = landmark.last_accepted
-        renamed.moved_evidence = landmark.moved_evidence
+        renamed = copy(landmark)
+        renamed.key = new_keys.get(landmark.key, landmark.key)
+        renamed.distinct = {new_keys.get(key, key) for key in landmark.distinct}
         return renamed
 
     variables = [

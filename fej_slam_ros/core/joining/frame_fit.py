@@ -7,21 +7,21 @@ Each shared variable x, x' in the other frame, gives the condition x = g o x' on
 g = (t, alpha) of that frame.
 """
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from fej_slam_ros.core.ekf.state import JointState, RendezvousPoint, Robot, Variable
+from fej_slam_ros.core.ekf.state import JointState, POSITION, RendezvousPoint, Robot, Variable
 from fej_slam_ros.core.geometry import (
-    Array, compose, Indices, inverse, perpendicular, poses_plus, rigid_fit, rotation, transform,
-    wrap_all)
+    Array, compose, Indices, inverse, perpendicular, poses_plus, rigid_fit, transform, wrap_all)
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
-#: The iteration ends with a step below this [m, rad].
+#: The iteration ends with a step below this [m, rad], or after so many; where it converges, less
+#: than ten are needed.
 FIT_TOLERANCE = 1e-10
-MAX_FIT_ITERATIONS = 50
+MAX_FIT_ITERATIONS = 20
 #: Points that are closer to each other than this, relative to their distance from the origin, are
 #: one place, which determines no heading.
 MIN_RELATIVE_SPREAD = 1e-6
@@ -102,9 +102,9 @@ def fit(
     g = _closed_form(x_T, x_L, ours)
     for _ in range(MAX_FIT_ITERATIONS):
         x_carried = carried(g, x_L, ours)
-        C, D = derivatives(g, x_carried, ours)
+        D = derivative(g, x_carried, ours)
         r = difference(x_T, x_carried, ours)
-        S = cho_factor(P_T + C @ P_L @ C.T, lower=True)
+        S = cho_factor(P_T + turned(g, turned(g, P_L, ours).T, ours), lower=True)
         information = D.T @ cho_solve(S, D)
         dg = np.linalg.solve(information, D.T @ cho_solve(S, r))
         g = poses_plus(g[None], dg)[0]
@@ -123,38 +123,42 @@ def _closed_form(x_T: Array, x_L: Array, shared: Variables) -> Array:
 
 def carried(g: Array, x: Array, variables: Variables) -> Array:
     """Return g o x of stacked variables."""
-    moved = [
-        compose(g, part) if len(part) == POSE_SIZE else transform(g, part)
-        for part in _parts(x, variables)]
-    return np.concatenate([np.empty(0), *moved])
+    positions, headings = _layout(variables)
+    moved = x.copy()
+    moved[positions] = transform(g, x[positions])
+    moved[headings] = wrap_all(x[headings] + g[2])
+    return moved
 
 
-def derivatives(g: Array, at: Array, variables: Variables) -> tuple[Array, Array]:
-    """Return the Jacobians of g o x with respect to x and g, linearised at g o x = `at`."""
-    C = rotation(g[2])
-    by_x, by_g = np.eye(len(at)), np.empty((len(at), 3))
-    start = 0
-    for part in _parts(at, variables):
-        position, stop = slice(start, start + 2), start + len(part)
-        by_x[position, position] = C
-        by_g[start:stop] = np.eye(len(part), 3)
-        by_g[position, 2] = perpendicular(part[:2] - g[:2])
-        start = stop
-    return by_x, by_g
+def turned(g: Array, rows: Array, variables: Variables) -> Array:
+    """Return C rows, where C is the Jacobian of g o x by the stacked variables x."""
+    (x, y), c, s = _layout(variables)[0].T, np.cos(g[2]), np.sin(g[2])
+    product = rows.copy()
+    product[x], product[y] = c * rows[x] - s * rows[y], s * rows[x] + c * rows[y]
+    return product
+
+
+def derivative(g: Array, at: Array, variables: Variables) -> Array:
+    """Return the Jacobian of g o x by g, linearised at g o x = `at`."""
+    positions, headings = _layout(variables)
+    D = np.zeros((len(at), 3))
+    D[positions[:, 0], 0] = D[positions[:, 1], 1] = D[headings, 2] = 1.0
+    D[positions, 2] = perpendicular(at[positions] - g[:2])
+    return D
 
 
 def difference(a: Array, b: Array, variables: Variables) -> Array:
     """Return a - b of stacked variables, headings wrapped."""
-    parts = _parts(a - b, variables)
-    return np.concatenate([np.append(part[:2], wrap_all(part[2:])) for part in parts])
+    (_, headings), r = _layout(variables), a - b
+    r[headings] = wrap_all(r[headings])
+    return r
 
 
-def _parts(x: Array, variables: Variables) -> Iterator[Array]:
-    """Yield the values of stacked variables."""
-    start = 0
-    for variable in variables:
-        yield x[start:start + variable.slot.size]
-        start += variable.slot.size
+def _layout(variables: Variables) -> tuple[Indices, Indices]:
+    """Return the indices of the positions (k, 2) and of the headings of stacked variables."""
+    sizes = np.array([variable.slot.size for variable in variables], np.intp)
+    starts = np.cumsum(sizes) - sizes
+    return starts[:, None] + POSITION, starts[sizes == POSE_SIZE] + 2
 
 
 def indices(variables: Variables) -> Indices:

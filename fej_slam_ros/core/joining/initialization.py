@@ -4,13 +4,12 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import Linearization, Points, Poses, transport_errors
-from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, Variable
+from fej_slam_ros.core.ekf.state import at_slot, JointState, Landmark, Robot, Variable
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joining.initial_alignment import (
     align, align_independently, closed_form, InitialAlignment, InitialScans)
@@ -95,7 +94,7 @@ def _joint_state(
             variables.append(
                 Landmark(key, next(slots), owner, stamp, is_reobserved=bool(others)))
         else:
-            variables.append(replace(landmark, slot=next(slots)))
+            variables.append(at_slot(landmark, next(slots)))
         first.append(x if landmark is None else before.first_estimate(landmark))
     x_hat = np.concatenate([*solved.poses.values(), *solved.points.values()])
     return JointState(variables, x_hat, np.concatenate(first), covariance)

@@ -21,13 +21,13 @@ from scipy.special import chdtri
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.state import at_slot, JointState, part_of
 from fej_slam_ros.core.geometry import Array, poses_plus, wrap_all
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
-    carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables,
-    Variables)
+    carried, derivative, determine_heading, difference, fit, FrameFit, indices, shared_variables,
+    turned, Variables)
 from fej_slam_ros.core.joining.outlying_landmarks import (
     outlying_landmarks, single_observation_failure)
 from fej_slam_ros.core.joining.rendezvous import marginalize
@@ -71,15 +71,19 @@ class MapJoiner:
             shared += f' and {_counted(points, "observation")} of robots'
         if landmarks + points < self._min_landmarks:
             return JoinFailure(f'{shared}, needs {self._min_landmarks}')
-        local = _from_first_robot(group)
+        # The conditions of a join cost little however large the maps are.
+        ours, theirs = shared_variables(team.state, group.state)
+        local = _from_first_robot(group, theirs)
         if not determine_heading(team.state, local):
             return JoinFailure(f'{shared} are at one place, which determines no heading')
         found = fit(team.state, local)
-        failure = self._contradiction(team, local, found, shared, landmarks + points)
+        failure = self._contradiction(team, ours, local, found, shared, landmarks + points)
         if failure is not None:
             return failure
         try:
-            team.state = joined_state(team.state, local, found.pose, team.linearization)
+            team.state = joined_state(
+                team.state, _from_first_robot(group, group.state.variables()), found.pose,
+                team.linearization)
         except EndedError:
             return JoinFailure('the process ended before it could join')
         for key in keys:
@@ -87,7 +91,8 @@ class MapJoiner:
         return None
 
     def _contradiction(
-        self, team: Filter, local: JointState, found: FrameFit, shared: str, count: int
+        self, team: Filter, ours: Variables, local: JointState, found: FrameFit, shared: str,
+        count: int,
     ) -> JoinFailure | None:
         """Return why the fit of a number of shared variables, in words, joins no frames."""
         limit = float(chdtri(found.dof, self._tail))
@@ -106,7 +111,7 @@ class MapJoiner:
         sigma = found.heading_sigma()
         if sigma > self._max_heading_sigma:
             # The uncertainty of the global heading of the team is irrelevant.
-            sigma = min(sigma, fit(_from_first_robot(team), local).heading_sigma())
+            sigma = min(sigma, fit(_from_first_robot(team, ours), local).heading_sigma())
         if sigma > self._max_heading_sigma:
             return JoinFailure(
                 f'{shared} determine the heading to {sigma:.2f} rad only, needs'
@@ -159,12 +164,18 @@ class MapJoiner:
         return found if accepted else None
 
 
-def _from_first_robot(filter_: Filter) -> JointState:
-    """Return the state in the frame of its first robot, if any: the origin may be far away."""
+def _from_first_robot(filter_: Filter, variables: Variables) -> JointState:
+    """
+    Return some variables in the frame of the first robot, if any: the origin may be far away.
+
+    The robot is added if it is not one of them.
+
+    """
     robot = next(iter(filter_.state.robots.values()), None)
     if robot is None:
-        return filter_.state
-    return in_frame_of(filter_.state, robot, filter_.linearization)
+        return part_of(filter_.state, variables)
+    part = part_of(filter_.state, variables if robot in variables else [robot, *variables])
+    return in_frame_of(part, part.robots[robot.name], filter_.linearization)
 
 
 def joined_state(
@@ -183,27 +194,30 @@ def joined_state(
     first = carried(g, group.estimates_of(indices(new)), new)
     at, new_at = linearization.joining_points(team, ours, new, first)
     n, k = len(team.x_hat), len(group.x_hat)
-    # The conditions are A dz - D dg = r, for z = [x_T, x_L].
-    C, D = derivatives(g, at, ours)
-    A = np.hstack([_picks(ours, n), product(-C, _picks(theirs, k), may_end=True)])
+    # The conditions are A dz - D dg = r, for z = [x_T, x_L] and A = [E_T, -C E_L], where E_T and
+    # E_L select the shared variables and C turns them.
     x_carried = carried(g, group.estimates_of(indices(theirs)), ours)
     r = difference(x_carried, team.estimates_of(indices(ours)), ours)
-    P = block_diag(team.marginal(team.variables()), group.marginal(group.variables()))
+    P_T, P_L = team.marginal(team.variables()), group.marginal(group.variables())
     pause()
-    dz, dg, P_zg = _conditioned(P, A, D, r)
+    P_LL = P_L[np.ix_(indices(theirs), indices(theirs))]
+    APA = P_T[np.ix_(indices(ours), indices(ours))] + turned(g, turned(g, P_LL, ours).T, ours)
+    AP = np.hstack([P_T[indices(ours)], -turned(g, P_L[indices(theirs)], ours)])
+    D = derivative(g, at, ours)
+    dz, dg, P_zg = _conditioned(block_diag(P_T, P_L), AP, APA, D, r)
     pause()
 
-    C, D = derivatives(g, new_at, new)
-    M = np.vstack([
-        np.eye(n, n + k + 3),
-        np.hstack([np.zeros((len(first), n)), product(C, _picks(new, k), may_end=True), D])])
+    # New variables are C x + D g of those of the group and of g.
+    in_z, of_g, D = n + indices(new), n + k + np.arange(3), derivative(g, new_at, new)
+    P_new = turned(g, P_zg[in_z], new) + D @ P_zg[of_g]
+    own = turned(g, P_new[:, in_z].T, new) + D @ P_new[:, of_g].T
     x_new = (group.estimates() + dz[n:])[indices(new)]
     g = poses_plus(g[None], dg)[0]
     x_hat = np.concatenate([team.estimates() + dz[:n], carried(g, x_new, new)])
     x_first = np.concatenate([team.x_first, first])
     pause()
-    P_new = product(product(M, P_zg, may_end=True), M.T, may_end=True)
-    state = _combined(team, new, x_hat, x_first, P_new)
+    state = _combined(team, new, x_hat, x_first, np.block([
+        [P_zg[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
@@ -211,10 +225,16 @@ def joined_state(
     return state
 
 
-def _conditioned(P: Array, A: Array, D: Array, r: Array) -> tuple[Array, Array, Array]:
-    """Return dz, dg and the covariance of [z, g] given A dz - D dg = r, z having covariance P."""
-    AP = product(A, P, may_end=True)
-    L = cholesky(product(AP, A.T, may_end=True), lower=True)
+def _conditioned(
+    P: Array, AP: Array, APA: Array, D: Array, r: Array
+) -> tuple[Array, Array, Array]:
+    """
+    Return dz, dg and the covariance of [z, g] given A dz - D dg = r, z having covariance P.
+
+    A itself is mostly zero: AP and APA are A P and A P A^T.
+
+    """
+    L = cholesky(APA, lower=True)
     pause()
     W = _solved(L, AP)
     B, y = (solve_triangular(L, x, lower=True) for x in (-D, r))
@@ -246,18 +266,16 @@ def _combined(
 ) -> JointState:
     """Return the state of the team's variables followed by the new ones."""
     covariance = Covariance()
-    variables = [*team.variables(), *new]
-    slots = covariance.insert(P).split([v.slot.size for v in variables])
-    moved = [replace(variable, slot=slot) for variable, slot in zip(variables, slots)]
-    state = JointState(moved, x_hat, x_first, covariance)
+    own = team.variables()
+    slots = covariance.insert(P).split([v.slot.size for v in [*own, *new]])
+    state = JointState([
+        *(at_slot(variable, slot) for variable, slot in zip(own, slots)),
+        # Evidence on landmarks of the other frame refers to positions in that.
+        *(replace(variable, slot=slot) for variable, slot in zip(new, slots[len(own):]))],
+        x_hat, x_first, covariance)
     headings = state.headings()
     state.x_hat[headings] = wrap_all(state.x_hat[headings])
     return state
-
-
-def _picks(variables: Variables, n: int) -> Array:
-    """Return the (m, n) matrix that selects variables from a joint vector (n,)."""
-    return np.eye(n)[indices(variables)]
 
 
 def _counted(count: int, what: str) -> str:

@@ -16,7 +16,8 @@ from scipy.special import chdtri
 from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import (
-    carried, derivatives, determine_heading, difference, fit, FrameFit, indices, shared_variables)
+    carried, derivative, determine_heading, difference, fit, FrameFit, indices, shared_variables,
+    turned)
 from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 
@@ -68,8 +69,9 @@ def _increases_of_chi2(
     ours += [team.landmarks[key] for key in left_out]
     theirs += [group.landmarks[key] for key in left_out]
     at = carried(found.pose, group.estimates_of(indices(theirs)), ours)
-    C, D = derivatives(found.pose, at, ours)
-    S = team.marginal(ours) + C @ group.marginal(theirs) @ C.T
+    D = derivative(found.pose, at, ours)
+    S = team.marginal(ours) + turned(
+        found.pose, turned(found.pose, group.marginal(theirs), ours).T, ours)
     r = difference(team.estimates_of(indices(ours)), at, ours)
     of_fit, rest = slice(len(found.r)), slice(len(found.r), None)
     K = cho_solve(found.S, S[of_fit, rest]).T

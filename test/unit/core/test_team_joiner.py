@@ -9,9 +9,10 @@ import pytest
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import (
-    PosePrior, RendezvousKey, RobotObservation, RobotScan, UNKNOWN_POSE_COVARIANCE)
+    NS, PosePrior, RendezvousKey, RobotObservation, RobotScan, UNKNOWN_POSE_COVARIANCE)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from helpers.core import turn
@@ -96,6 +97,27 @@ def test_frames_with_too_few_shared_landmarks_stay_apart_with_the_reason(joining
 
     assert [group.frame for group in joining.groups] == ['map', 'r2/map']
     assert joining.groups.not_in_map == {'r2': '2 shared landmarks, needs 3'}
+
+
+@pytest.mark.parametrize(('shared', 'attempts'), [(20, 10), (200, 1)])
+def test_joins_of_many_landmarks_that_do_not_fit_are_not_attempted_at_every_step(
+    joining, monkeypatch, shared, attempts
+):
+    rng = np.random.default_rng(1)
+    for robot in ('r1', 'r2'):
+        joining.observe_landmarks(robot, rng.uniform(-20.0, 20.0, (shared, 2)))
+    made, join = [], MapJoiner.join
+    monkeypatch.setattr(MapJoiner, 'join', lambda *args: made.append(1) or join(*args))
+
+    for stamp in range(NS, 2 * NS, NS // 10):
+        joining.groups.of('r2').robots['r2'].stamp = stamp
+        joining.joiner.join({})
+        assert 'do not fit' in joining.groups.not_in_map['r2']
+
+    assert len(made) == attempts
+    joining.groups.of('r2').robots['r2'].stamp = 2 * NS
+    joining.joiner.join({})
+    assert len(made) == attempts + 1
 
 
 def test_shared_landmarks_alone_join_nothing_before_step_0(joining):

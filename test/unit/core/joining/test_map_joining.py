@@ -19,7 +19,7 @@ from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.state import JointState, MovedLandmarkEvidence
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import fit
 from fej_slam_ros.core.joining.map_joining import joined_state, MapJoiner
@@ -222,6 +222,17 @@ def test_first_estimates_of_the_team_stay_and_new_ones_are_carried():
     assert_allclose(state.first_estimate(lone), expected, atol=1e-12)
     assert lone.owner == 'r2'
     assert state.robots['r2'].stamp == 5
+
+
+def test_evidence_on_the_landmarks_of_the_team_is_kept():
+    team, group, _ = two_maps()
+    landmark = team.landmarks['', 0]
+    landmark.last_accepted, landmark.moved_evidence = 77, MovedLandmarkEvidence()
+
+    state = joined_state(team, group, fit(team, group).pose, FirstEstimates())
+
+    kept = state.landmarks['', 0]
+    assert (kept.last_accepted, kept.moved_evidence) == (77, landmark.moved_evidence)
 
 
 def test_exact_maps_join_exactly():
