@@ -8,7 +8,7 @@ two calls: `add` a record, `take` the finished steps.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 import math
 import sys
 
@@ -23,7 +23,7 @@ from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
-from fej_slam_ros.core.ekf.state import Robot
+from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.ekf.state_hash import state_hash
 from fej_slam_ros.core.estimates import (
     FrameMap, LandmarkEstimate, PoseEstimate, RelativePose, StepResult)
@@ -37,8 +37,8 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    AnyScan, Motion, NO_ID, Odometry, PosePrior, PriorMap, Record, RobotScan, Scan, Step,
-    TrueLandmarks)
+    AnyScan, LandmarkKey, Motion, NO_ID, Odometry, PosePrior, PriorMap, Record, RobotScan, Scan,
+    Step, TrueLandmarks)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
@@ -255,13 +255,13 @@ class Estimator:
     def _use_scans(self, step: Step) -> list[Scan]:
         """Start landmarks, update and join; return the associated observations without IDs."""
         self._quarantine.restart_turned(step, self.settings.join_min_landmarks)
-        is_aligned = self._joiner.is_step_0(step) and self._joiner.initialize(step)
+        used_up = self._joiner.initialize(step) if self._joiner.is_step_0(step) else ()
         lost_robots = self.innovations.lost_robots
         for robot_scan in step.robot_scans:
             self._joiner.add_rendezvous_points(robot_scan, lost_robots.is_suspected)
         associated = [
             scan for group in self.groups
-            for scan in self._observe(group, step, is_aligned and group is self.groups.team)]
+            for scan in self._observe(group, step, used_up if group is self.groups.team else ())]
         scans: list[AnyScan] = [*step.scans, *step.robot_scans]
         # All count as used; a rejection of a single one subtracts it again.
         for scan in scans:
@@ -279,14 +279,16 @@ class Estimator:
         if not self._quarantine.restart_after(motion):
             self.groups.of(motion.robot).filter.predict(motion)
 
-    def _observe(self, group: FrameGroup, step: Step, is_aligned: bool) -> list[Scan]:
+    def _observe(
+        self, group: FrameGroup, step: Step, used_up: Collection[LandmarkKey]
+    ) -> list[Scan]:
         """
         Update a group by the scans of its robots; return the associated observations without IDs.
 
-        If it `is_aligned`, step 0 has used up the observations with IDs.
+        Step 0 has `used_up` the observations of some landmarks.
 
         """
-        scans, associations = self._associate(group, step.scans, is_aligned)
+        scans, associations = self._associate(group, step.scans, used_up)
         innovation = group.filter.update(
             [*associations, *self._quarantine.robot_associations(group, step)])
         if innovation is not NO_INNOVATION:
@@ -296,7 +298,7 @@ class Estimator:
         return [scan.associated for scan in scans if scan.associated.observations]
 
     def _associate(
-        self, group: FrameGroup, scans: Iterable[Scan], is_aligned: bool
+        self, group: FrameGroup, scans: Iterable[Scan], used_up: Collection[LandmarkKey]
     ) -> tuple[list[AssociatedScan], list[Association]]:
         """Return the scans of a group with IDs for all observations, and those for the update."""
         associated, associations = [], []
@@ -307,9 +309,10 @@ class Estimator:
                 for observation in known.doubtful:
                     self.statistics.reject_observation(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))
-                # After step 0, landmarks of one robot alone are still to be started.
                 with_ids = self._start_landmarks(group, known.with_ids)
-                associations += [] if is_aligned else with_ids
+                associations += with_ids if not used_up else [
+                    a for a in with_ids
+                    if isinstance(a.observed, Landmark) and a.observed.key not in used_up]
                 associations += self._start_landmarks(
                     group, known.associated, MAX_NEW_WITHOUT_ID, RejectionReason.TOO_MANY_NEW)
                 associated.append(known)

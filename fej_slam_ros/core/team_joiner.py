@@ -7,7 +7,7 @@ Groups join at step 0, by shared landmarks and rendezvous points, or by an initi
 given for one of their robots. The joining of two frames is in :mod:`fej_slam_ros.core.joining`.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from itertools import combinations
 
@@ -27,7 +27,7 @@ from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import (
-    is_too_uncertain, NO_ID, NS, RendezvousKey, RobotScan, Step)
+    is_too_uncertain, LandmarkKey, NO_ID, NS, RendezvousKey, RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
@@ -77,8 +77,8 @@ class TeamJoiner:
         return not self._groups.is_initialized and any(
             scan.robot == self._settings.anchor and scan.observations for scan in step.scans)
 
-    def initialize(self, step: Step) -> bool:
-        """Run step 0; return whether its scans have initialized robots or landmarks in ``map``."""
+    def initialize(self, step: Step) -> Collection[LandmarkKey]:
+        """Run step 0; return the landmarks of ``map`` whose observations it has used up."""
         team = self._groups.team
         self._groups.is_initialized = True
         scans: InitialScans = {
@@ -86,21 +86,24 @@ class TeamJoiner:
                 (team.filter.landmark_key(scan.robot, observation.id), observation)
                 for observation in scan.observations if observation.id != NO_ID]
             for scan in step.scans}
+        room = self._settings.max_landmarks - sum(
+            len(state.landmarks) for state in self._groups.states())
         try:
             state = initialize(
                 team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
-                START_COVARIANCES[self._settings.start_covariance])
+                START_COVARIANCES[self._settings.start_covariance], max(room, 0))
         except (InitialAlignmentError, EndedError):
-            return False
+            return ()
+        used: Collection[LandmarkKey] = ()
         if state is not None:
             others = [group.state for group in self._groups.others]
             marginalize(team.state.rendezvous_points, others)
-            team.filter.state = state
+            team.filter.state, used = state, {*state.landmarks}
         self._restart_uncertain(step.stamp)
         for group in [*self._groups.others]:
             if group.owner in team.robots.keys() & group.robots.keys():
                 self._join_via_robot(group, group.owner)
-        return state is not None
+        return used
 
     def _restart_uncertain(self, stamp: int) -> None:
         """Restart robots whose poses are too uncertain to linearise after step 0."""

@@ -4,6 +4,8 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
+from itertools import islice
+import sys
 
 import numpy as np
 
@@ -23,7 +25,7 @@ START_COVARIANCES: Mapping[str, Callable[..., InitialAlignment]] = {
 
 def initialize(
     state: JointState, anchor: str, scans: InitialScans, stamp: int, linearization: Linearization,
-    method: Callable[..., InitialAlignment],
+    method: Callable[..., InitialAlignment], max_new: int = sys.maxsize,
 ) -> JointState | None:
     """
     Return the joint state with all robots and shared landmarks that the scans determine.
@@ -38,14 +40,16 @@ def initialize(
     stamp : time of step 0 [ns]
     linearization : policy that linearises the covariance
     method : one of `START_COVARIANCES`; its errors are those of `align`
+    max_new : maximum number of new landmarks
 
     """
     prior = _known(state, anchor)
     poses, points = closed_form(prior.poses, prior.points, scans)
     observers = Counter(key for name in poses for key, _ in scans.get(name, ()))
     new_poses = {name: x for name, x in poses.items() if name not in prior.poses}
-    shared = {
-        key: x for key, x in points.items() if observers[key] > 1 and key not in prior.points}
+    shared = dict(islice((
+        (key, x) for key, x in points.items()
+        if observers[key] > 1 and key not in prior.points), max_new))
     if not new_poses and not shared:
         return None
 

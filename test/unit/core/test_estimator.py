@@ -241,6 +241,30 @@ def test_step_0_solves_for_an_uncertain_start_or_the_robot_is_not_in_map(seen, f
     assert ('r2' in estimator.statistics.restart_reasons) is (frame != 'map')
 
 
+def test_step_0_updates_what_a_robot_mapped_before():
+    # r2 has mapped landmark 9 in a frame of its own; step 0 aligns it by landmarks 1 and 2.
+    def after(nine):
+        estimator, _ = run(
+            team(anchor_pose=ANCHOR_POSE), *both(0), scan('r2', 0, [(9, (2.0, 1.0))]), *both(100),
+            scan('r1', 100, BY_ANCHOR), scan('r2', 100, [*BY_R2, (9, nine)]))
+        return estimator.pose('r2').frame, estimator.state_hash()
+
+    (frame, as_before), (_, moved) = after((2.0, 1.0)), after((2.05, 1.0))
+
+    assert frame == 'map'
+    assert moved != as_before
+
+
+def test_step_0_starts_no_more_landmarks_than_allowed():
+    seen = [(number, (3.0 + number, (-1.0) ** number)) for number in range(20)]
+    estimator, _ = run(
+        team(max_landmarks=4), *both(0), scan('r1', 0, seen), scan('r2', 0, seen))
+
+    assert len(estimator.landmarks()) == 4
+    assert estimator.statistics.total(RejectionReason.MAP_FULL) == 2 * 16
+    assert estimator.pose('r2').frame == 'map'
+
+
 def test_shared_ids_are_one_landmark():
     options = team(known=[('r2', R2_POSE, (0.1, 0.1, 0.1))], anchor_pose=ANCHOR_POSE)
 
