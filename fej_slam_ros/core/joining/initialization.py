@@ -3,12 +3,13 @@
 """Step 0: the joint state of all robots that the first scans relate, "Initialization" of [Liu]."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 import sys
 
 import numpy as np
 
+from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import Linearization, Points, Poses, transport_errors
 from fej_slam_ros.core.ekf.state import at_slot, JointState, Landmark, Robot, Variable
@@ -43,7 +44,11 @@ def initialize(
     max_new : maximum number of new landmarks
 
     """
-    prior = _known(state, anchor)
+    robots = sorted(state.robots.values(), key=lambda robot: robot.name != anchor)
+    keys = {key for scan in scans.values() for key, _ in scan}
+    observed = [landmark for key, landmark in state.landmarks.items() if key in keys]
+    rest = [landmark for key, landmark in state.landmarks.items() if key not in keys]
+    prior = _estimates(state, robots, observed)
     poses, points = closed_form(prior.poses, prior.points, scans)
     observers = Counter(key for name in poses for key, _ in scans.get(name, ()))
     new_poses = {name: x for name, x in poses.items() if name not in prior.poses}
@@ -61,20 +66,54 @@ def initialize(
         return {**at_poses, **observing}, at_points
 
     solved = method(prior, new_poses, shared, scans, linearized_at)
+    if rest:
+        solved = _with_rest(solved, prior, _estimates(state, robots, [*observed, *rest]))
     located = _joint_state(solved, state, scans, stamp)
-    x_prior = [*(solved.poses | prior.poses).values(), *(solved.points | prior.points).values()]
+    x_prior = [
+        *(solved.poses | prior.poses).values(),
+        *(state.estimate(state.landmarks[key]) if key in state.landmarks else x
+          for key, x in solved.points.items())]
     transport_errors(linearization, located, np.concatenate(x_prior))
     return located
 
 
-def _known(state: JointState, anchor: str) -> InitialAlignment:
-    """Return the known robots and landmarks, the anchor first."""
-    robots = sorted(state.robots.values(), key=lambda robot: robot.name != anchor)
-    landmarks = list(state.landmarks.values())
+def _estimates(
+    state: JointState, robots: Sequence[Robot], landmarks: Sequence[Landmark]
+) -> InitialAlignment:
     return InitialAlignment(
         {robot.name: state.estimate(robot) for robot in robots},
         {landmark.key: state.estimate(landmark) for landmark in landmarks},
         state.marginal([*robots, *landmarks]))
+
+
+def _with_rest(
+    solved: InitialAlignment, prior: InitialAlignment, known: InitialAlignment
+) -> InitialAlignment:
+    """
+    Return a solution with known landmarks that were not observed, which come last.
+
+    They follow by their covariance with the `prior` of the solution, the first of the `known`:
+    solving for a large map would take minutes.
+
+    """
+    n, poses, points = len(prior.P), 3 * len(prior.poses), 2 * len(prior.points)
+    # Their places among the variables that were solved for.
+    at = np.concatenate([np.arange(poses), 3 * len(solved.poses) + np.arange(points)])
+    dx = np.concatenate([
+        *(pose_error(solved.poses[name], x) for name, x in prior.poses.items()),
+        *(solved.points[key] - x for key, x in prior.points.items())])
+    sigma = np.sqrt(prior.P.diagonal())
+    sigma[sigma == 0.0] = 1.0
+    inverse = np.linalg.pinv(prior.P / np.outer(sigma, sigma), hermitian=True)
+    gain = known.P[n:, :n] @ (inverse / np.outer(sigma, sigma))
+    cross = gain @ solved.P[at]
+    P_rest = known.P[n:, n:] - gain @ (prior.P - solved.P[np.ix_(at, at)]) @ gain.T
+    keys = [*known.points][len(prior.points):]
+    moved = (gain @ dx).reshape(-1, 2)
+    return InitialAlignment(
+        solved.poses,
+        solved.points | {key: known.points[key] + step for key, step in zip(keys, moved)},
+        np.block([[solved.P, cross.T], [cross, P_rest]]))
 
 
 def _joint_state(

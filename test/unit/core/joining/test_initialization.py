@@ -10,10 +10,14 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.linalg import block_diag
 
-from fej_slam_ros.core.records import Observation, Odometry, Scan
+from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant
+from fej_slam_ros.core.ekf.state import state_of_prior_map
+from fej_slam_ros.core.joining.initial_alignment import align, InitialAlignment
+from fej_slam_ros.core.joining.initialization import initialize
+from fej_slam_ros.core.records import Observation, Odometry, PriorMap, Scan
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.sensors import SensorSettings
-from helpers.core import circles, estimate, pose_difference, turn
+from helpers.core import circles, estimate, pose_difference, random_covariance, turn
 
 SECOND = 1_000_000_000
 R = np.diag([0.01, 0.01])
@@ -136,6 +140,48 @@ def test_landmarks_belong_to_robots_of_the_team():
     state = estimator.groups.team.state
     assert estimator.groups.not_in_map == {'r2': '1 shared landmark, needs 3'}
     assert {landmark.owner for landmark in state.landmarks.values()} <= set(state.robots)
+
+
+def known_map(rng):
+    """Return a state with the anchor, known exactly, in a correlated map of all landmarks."""
+    points = np.array([*LANDMARKS.values()])
+    state = state_of_prior_map(PriorMap(
+        tuple(LANDMARKS), points + rng.normal(0.0, 0.1, points.shape),
+        0.01 * random_covariance(rng, points.size)))
+    state.insert_robot('r1', 0, POSES['r1'], np.zeros((3, 3)))
+    return state
+
+
+@pytest.mark.parametrize('policy', [FirstEstimates, Invariant])
+def test_known_landmarks_that_nobody_observes_are_solved_for_with_the_others(policy):
+    seen = {'r1': [0, 1, 2], 'r2': [0, 1, 4]}
+    scans = {scan.robot: [(('', o.id), o) for o in scan.observations] for scan in look(**seen)}
+
+    state = initialize(
+        known_map(np.random.default_rng(1)), 'r1', scans, 0, policy(), align)
+
+    # The same with all landmarks as unknowns of the least squares.
+    before = known_map(np.random.default_rng(1))
+    anchor, landmarks = before.robots['r1'], [*before.landmarks.values()]
+    expected = align(
+        InitialAlignment(
+            {'r1': POSES['r1']}, {f.key: before.estimate(f) for f in landmarks},
+            before.marginal([anchor, *landmarks])), {'r2': POSES['r2']}, {}, scans)
+    for key, point in expected.points.items():
+        assert_allclose(state.estimate(state.landmarks[key]), point, atol=1e-9)
+    if policy is FirstEstimates:
+        variables = [
+            *(state.robots[name] for name in expected.poses),
+            *(state.landmarks[key] for key in expected.points)]
+        # First estimates are those of the map, and of r2 the solution.
+        linear = align(
+            InitialAlignment(
+                {'r1': POSES['r1']}, {f.key: before.estimate(f) for f in landmarks},
+                before.marginal([anchor, *landmarks])), {'r2': POSES['r2']}, {}, scans,
+            lambda poses, points: (
+                poses, {key: before.estimate(before.landmarks[key]) for key in points}))
+        assert_allclose(state.marginal(variables), linear.P, atol=1e-9)
+    assert [*state.landmarks] == [('', n) for n in (0, 1, 2, 4, 3, 5)]
 
 
 def test_a_step_in_which_nobody_sees_anything_only_moves_the_robots():
