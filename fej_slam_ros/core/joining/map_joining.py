@@ -193,7 +193,7 @@ def joined_state(
     new = [variable for variable in group.variables() if variable not in theirs]
     first = carried(g, group.estimates_of(indices(new)), new)
     at, new_at = linearization.joining_points(team, ours, new, first)
-    n, k = len(team.x_hat), len(group.x_hat)
+    n = len(team.x_hat)
     # The conditions are A dz - D dg = r, for z = [x_T, x_L] and A = [E_T, -C E_L], where E_T and
     # E_L select the shared variables and C turns them.
     x_carried = carried(g, group.estimates_of(indices(theirs)), ours)
@@ -204,20 +204,23 @@ def joined_state(
     APA = P_T[np.ix_(indices(ours), indices(ours))] + turned(g, turned(g, P_LL, ours).T, ours)
     AP = np.hstack([P_T[indices(ours)], -turned(g, P_L[indices(theirs)], ours)])
     D = derivative(g, at, ours)
-    dz, dg, P_zg = _conditioned(block_diag(P_T, P_L), AP, APA, D, r)
+    P = block_diag(P_T, P_L)
+    del P_T, P_L  # 200 MB for 2,500 landmarks
+    dz, dg, P_z, P_gz, P_g = _conditioned(P, AP, APA, D, r)
     pause()
 
     # New variables are C x + D g of those of the group and of g.
-    in_z, of_g, D = n + indices(new), n + k + np.arange(3), derivative(g, new_at, new)
-    P_new = turned(g, P_zg[in_z], new) + D @ P_zg[of_g]
-    own = turned(g, P_new[:, in_z].T, new) + D @ P_new[:, of_g].T
+    in_z, D = n + indices(new), derivative(g, new_at, new)
+    P_new = turned(g, P_z[in_z], new) + D @ P_gz
+    P_new_g = turned(g, P_gz[:, in_z].T, new) + D @ P_g
+    own = turned(g, P_new[:, in_z].T, new) + D @ P_new_g.T
     x_new = (group.estimates() + dz[n:])[indices(new)]
     g = poses_plus(g[None], dg)[0]
     x_hat = np.concatenate([team.estimates() + dz[:n], carried(g, x_new, new)])
     x_first = np.concatenate([team.x_first, first])
     pause()
     state = _combined(team, new, x_hat, x_first, np.block([
-        [P_zg[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
+        [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
@@ -227,11 +230,12 @@ def joined_state(
 
 def _conditioned(
     P: Array, AP: Array, APA: Array, D: Array, r: Array
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array, Array]:
     """
-    Return dz, dg and the covariance of [z, g] given A dz - D dg = r, z having covariance P.
+    Return dz, dg, P_z, P_gz and P_g given A dz - D dg = r.
 
-    A itself is mostly zero: AP and APA are A P and A P A^T.
+    z has had the covariance P, which becomes P_z. A itself is mostly zero: AP and APA are A P and
+    A P A^T.
 
     """
     L = cholesky(APA, lower=True)
@@ -244,10 +248,9 @@ def _conditioned(
     W, y = product(Q.T, W, may_end=True), Q.T @ y
     R_inverse = solve_triangular(R[:3], np.eye(3))
     P_gz = -R_inverse @ W[:3]
-    P_z = P - product(W[3:].T, W[3:], may_end=True)
+    P -= product(W[3:].T, W[3:], may_end=True)
     pause()
-    P_zg = np.block([[P_z, P_gz.T], [P_gz, R_inverse @ R_inverse.T]])
-    return W[3:].T @ y[3:], R_inverse @ y[:3], P_zg
+    return W[3:].T @ y[3:], R_inverse @ y[:3], P, P_gz, R_inverse @ R_inverse.T
 
 
 def _solved(L: Array, A: Array) -> Array:
