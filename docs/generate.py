@@ -121,7 +121,7 @@ REASONS = {
     RejectionReason.DUPLICATE_ID: 'one ID twice in a scan; both observations are rejected',
     RejectionReason.NO_IDENTITY: 'ID -1, while the filter `ideal` and the smoother need IDs',
     RejectionReason.DUPLICATE: 'repeats robot, topic, stamp and content of an earlier message',
-    RejectionReason.CONFLICTING: 'different odometry at the same stamp',
+    RejectionReason.CONFLICTING: 'different odometry, or another true pose, at the same stamp',
     RejectionReason.BEFORE_ODOMETRY: 'scan before the first odometry of the robot',
     RejectionReason.AFTER_ODOMETRY: (
         'scan or `set_pose` after the last odometry of the robot, at the end'),

@@ -154,7 +154,9 @@ class Estimator:
             if self.settings.is_future(record.stamp, received):
                 return self.statistics.reject_record(record, RejectionReason.FUTURE)
             return self._joiner.pose_priors.add(record)
-        self.truth.add(record)
+        reason = self.truth.add(record)
+        if reason is not None:
+            return self.statistics.reject_record(record, reason)
         for stamp in self.truth.take_surplus(record.robot):
             self.statistics.reject(
                 Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
@@ -184,6 +186,7 @@ class Estimator:
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
         self.sequencer.resume()
+        self.truth.resume()
 
     def used(self, robot: str) -> int:
         """Return the number of messages of a robot that have been used."""

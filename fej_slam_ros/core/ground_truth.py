@@ -14,6 +14,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, between, Indices, interpolated, interpolated_all
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey, TrueLandmarks, TruePose
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UserError
 
 #: Longest gap between true poses [ns] across which they are interpolated.
@@ -47,16 +48,27 @@ class RecordedTruth:
         self._poses: dict[str, list[tuple[int, Array]]] = defaultdict(list)
         self.landmarks: dict[int, Array] = {}
         self._rendezvous_points: dict[RendezvousKey, Array] = {}
+        # Stamp of each robot's oldest true pose when the run was resumed [ns].
+        self._resumed_at: dict[str, int] = {}
 
-    def add(self, record: TruePose | TrueLandmarks) -> None:
-        """Add a record; a second true pose at one stamp is ignored."""
+    def add(self, record: TruePose | TrueLandmarks) -> RejectionReason | None:
+        """Add a record; return the reason if it is rejected, as a second pose at one stamp."""
         if isinstance(record, TrueLandmarks):
             self.landmarks.update(record.positions)
-            return
+            return None
         poses = self._poses[record.robot]
         index = bisect_left(poses, (record.stamp,))
-        if index == len(poses) or poses[index][0] != record.stamp:
-            poses.insert(index, (record.stamp, record.pose))
+        if index < len(poses) and poses[index][0] == record.stamp:
+            is_equal = np.array_equal(poses[index][1], record.pose)
+            return RejectionReason.DUPLICATE if is_equal else RejectionReason.CONFLICTING
+        if record.stamp < self._resumed_at.get(record.robot, record.stamp):
+            return RejectionReason.DUPLICATE
+        poses.insert(index, (record.stamp, record.pose))
+        return None
+
+    def resume(self) -> None:
+        """Continue from a checkpoint; true poses from before it may be sent again."""
+        self._resumed_at = {robot: poses[0][0] for robot, poses in self._poses.items() if poses}
 
     def robots(self) -> list[str]:
         """Return the robots that have true poses."""

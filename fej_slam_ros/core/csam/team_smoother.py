@@ -120,8 +120,8 @@ class TeamSmoother:
                 return self.statistics.reject_record(record, RejectionReason.FUTURE)
             return self._pose_priors.add(record)
         if isinstance(record, TruePose):
-            self.truth.add(record)
-            return None
+            reason = self.truth.add(record)
+            return None if reason is None else self.statistics.reject_record(record, reason)
         covariance = record.twist_covariance if isinstance(record, Odometry) else None
         if covariance is not None and not is_definite(covariance):
             return self.statistics.reject_record(record, RejectionReason.BAD_COVARIANCE)

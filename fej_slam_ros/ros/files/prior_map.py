@@ -17,6 +17,10 @@ from fej_slam_ros.ros.messages.incoming import MAX_COORDINATE, MAX_VARIANCE, MIN
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.tables import Cells
 
+#: Lowest ID in a map. A run without IDs assigns those below the lowest, and IDs are published as
+#: int32.
+MIN_MAP_ID = -2**30
+
 
 def prior_map(settings: RunSettings) -> PriorMap | None:
     """
@@ -81,7 +85,8 @@ def _landmark(cells: Cells) -> LandmarkRow:
     text = cells['id'] or ''
     if not _is_landmark_id(text):
         raise ValueError(
-            f'where id is {text!r} and not an integer up to {MAX_ID} other than {NO_ID}')
+            f'where id is {text!r} and not an integer from {MIN_MAP_ID} to {MAX_ID} other than'
+            f' {NO_ID}')
     landmark = read_landmark(cells)
     if np.abs(landmark.point).max() > MAX_COORDINATE or np.abs(landmark.P).max() > MAX_VARIANCE:
         raise ValueError(f'which exceeds {MAX_COORDINATE:g} m or {MAX_VARIANCE:g} m^2')
@@ -91,7 +96,6 @@ def _landmark(cells: Cells) -> LandmarkRow:
 
 
 def _is_landmark_id(text: str) -> bool:
-    """Return whether a text is a landmark ID; the estimator assigns IDs below `NO_ID`."""
     digits = text.removeprefix('-')
-    return (
-        digits.isascii() and digits.isdigit() and abs(int(text)) <= MAX_ID and int(text) != NO_ID)
+    return digits.isascii() and digits.isdigit() and (
+        MIN_MAP_ID <= int(text) <= MAX_ID and int(text) != NO_ID)

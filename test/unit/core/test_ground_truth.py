@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.ground_truth import LocalTruth, MissingTruthError, RecordedTruth
-from fej_slam_ros.core.records import TrueLandmarks
+from fej_slam_ros.core.records import TrueLandmarks, TruePose
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UserError
 from helpers.records import MS, true_pose
 
@@ -74,10 +75,25 @@ def test_the_order_of_arrival_of_truth_does_not_matter():
     np.testing.assert_allclose(late.pose('r1', 150 * MS), (1.0, 2.0, 0.75 * pi), atol=ROUNDING)
 
 
-def test_of_two_true_poses_at_one_stamp_the_first_counts():
-    truth = truth_of(*QUARTER, ('r1', 100, (9.0, 9.0, 0.0)))
+def test_of_two_true_poses_at_one_stamp_the_first_counts_and_the_second_is_rejected():
+    truth = truth_of(*QUARTER)
 
+    reasons = [truth.add(TruePose('r1', 100 * MS, np.array(pose)))
+               for pose in ((9.0, 9.0, 0.0), (1.0, 1.0, pi / 2))]
+
+    assert reasons == [RejectionReason.CONFLICTING, RejectionReason.DUPLICATE]
     np.testing.assert_array_equal(truth.pose('r1', 100 * MS), [1.0, 1.0, pi / 2])
+
+
+def test_truth_from_before_a_checkpoint_is_a_duplicate_when_it_is_sent_again():
+    truth = truth_of(*QUARTER)
+    truth.forget_before('r1', 250 * MS)
+    truth.resume()
+
+    reasons = [
+        truth.add(TruePose('r1', ms * MS, np.zeros(3))) for ms in (100, 300, 350)]
+
+    assert reasons == [RejectionReason.DUPLICATE, None, None]
 
 
 @pytest.mark.parametrize(('ms', 'covered'), [

@@ -17,6 +17,8 @@ from fej_slam_ros.sim.sensors import measure
 from fej_slam_ros.sim.world import make_world
 from helpers.ros import drive, meeting, raw_record, run_settings
 
+#: What an ID must be.
+AN_ID = 'an integer from -1073741824 to 2147483647 other than -1'
 HEADER = 'id,x,y,var_x,cov_xy,var_y'
 MESSAGES = [raw_record(record) for record in meeting(8)]
 
@@ -73,9 +75,9 @@ def test_rows_of_other_frames_are_ignored(file):
         (f'{HEADER}\n1,nan,0,1,0,1\n', "correct line 2, where x is 'nan' and not a finite number"),
         (f'{HEADER}\n1,0,0,1\n', 'correct line 2, where cov_xy is None and not a finite number'),
         (f'{HEADER}\n1.0,0,0,1,0,1\n',
-         "correct line 2, where id is '1.0' and not an integer up to 2147483647 other than -1"),
+         f"correct line 2, where id is '1.0' and not {AN_ID}"),
         (f'{HEADER}\n-1,0,0,1,0,1\n',
-         "correct line 2, where id is '-1' and not an integer up to 2147483647 other than -1"),
+         f"correct line 2, where id is '-1' and not {AN_ID}"),
         (f'{HEADER}\n1,0,0,1,2,1\n',
          'correct line 2, where the covariance is not positive definite'),
         (f'{HEADER}\n1,0,0,0,0,0\n',
