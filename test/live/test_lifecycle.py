@@ -12,6 +12,8 @@ from helpers.ros import meeting, raw_record, write_parameters
 
 live_helpers = optional('helpers.live')
 lifecycle = optional('lifecycle_msgs.srv')
+rclpy = optional('rclpy')
+services = optional('rcl_interfaces.srv')
 
 pytestmark = pytest.mark.ros
 
@@ -126,7 +128,14 @@ def test_cleanup_discards_the_estimate_and_starts_a_new_run(domain, tmp_path):
         domain.until(lambda: domain.node.count_subscribers('/r1/odom'))
         domain.send(*messages)
         domain.until(lambda n=runs: node.received == n * len(messages))
-        for label in 'deactivate', 'cleanup', 'configure', 'activate':
+        for label in 'deactivate', 'cleanup':
+            assert change(domain, label)
+        # A parameter that is set in between does not bring the folder of the first run back.
+        message = rclpy.Parameter('map_period', value=float(runs)).to_parameter_msg()
+        result, = domain.ask(
+            '/estimator/set_parameters', services.SetParameters, parameters=[message]).results
+        assert result.successful
+        for label in 'configure', 'activate':
             assert change(domain, label)
 
     first, second = tmp_path / 'run', tmp_path / 'run_2'

@@ -204,7 +204,9 @@ class SessionNode(SettingsNode):
             self._session.change_node_settings(
                 parameters.with_node_values(self._session.settings.node, checked))
         else:
-            self._next_settings = self._settings
+            # The next run has another output folder than the first, and restores nothing.
+            self._next_settings = RunSettings(
+                estimation, parameters.with_node_values(self._next_settings.node, checked))
         if self.is_active:
             self._map_timer.timer_period_ns = round(node.map_period * NS)
 
@@ -264,6 +266,7 @@ class SessionNode(SettingsNode):
         if self._files.finish() and output:
             self.get_logger().info(f'files are in {output}')
         self._next_settings = self._session.next_settings(self._next_output())
+        self._settings = replace(self._settings, estimation=self._next_settings.estimation)
 
     def _restart(self) -> str:
         """Begin a new run; return which files of either run are not complete, or ''."""
