@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, Kind, NOT_NEGATIVE, one_of, Parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA,
-    ROBOT_NAMES)
+    FLAG, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameters_of, POINT_SIGMA, POSE,
+    POSE_SIGMA, Range, ROBOT_NAMES)
 from fej_slam_ros.detection.records import AnyRecord
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
@@ -21,7 +21,8 @@ from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
 SIMULATED_NUMBER = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
-AT_LEAST_ONE = Kind('an integer, 1 or above', int, allowed=lambda n: n >= 1)
+COUNT = numbers('an integer', Range(1, 1e5), element=int)
+STEP_COUNT = numbers('an integer', Range(2, 1e5), element=int)
 THREE_SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-6 <= x <= 1e6)
 TWO_SIGMAS = replace(THREE_SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
 LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), SIMULATED_NUMBER.allowed)
@@ -38,11 +39,11 @@ PARAMETERS = {
         ROBOT_NAMES, 'names of the robots', '',
         '[r1, r2], or [p, q] where the two meet'),
     'landmarks': Parameter(
-        AT_LEAST_ONE, 'number of landmarks', '', '60, 15 random posts for lasers, or 24 tags'),
+        COUNT, 'number of landmarks', '', '60, 15 random posts for lasers, or 24 tags'),
     'loops': Parameter(
-        AT_LEAST_ONE, 'number of loops that each robot drives', '',
+        COUNT, 'number of loops that each robot drives', '',
         '5, or 2 with lasers or cameras'),
-    'steps_per_loop': Parameter(AT_LEAST_ONE, 'steps of a loop', '', OF_ENVIRONMENT),
+    'steps_per_loop': Parameter(STEP_COUNT, 'steps of a loop', '', OF_ENVIRONMENT),
     'loop_lengths': Parameter(
         LENGTHS, 'lengths of the loops of robots 1, 3, ... and 2, 4, ...', 'm', OF_ENVIRONMENT),
     'rate': Parameter(SIMULATED_NUMBER, 'steps per second of simulated time', 'Hz', '5.0'),
@@ -102,6 +103,8 @@ PARAMETERS = {
     STRICT_PARAMETERS: parameters_of(CommonNodeSettings)[STRICT_PARAMETERS],
 }
 
+#: Maximum number of steps, whose poses are computed at once.
+MAX_STEPS = 1_000_000
 #: Simulated time of the first step [ns]; in ROS, zero means that simulated time has not begun.
 FIRST_STAMP = 1_000_000_000
 
@@ -146,6 +149,12 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> Simulation:
     if given:
         raise UsageError(
             f"parameter '{min(given)}' does not apply to the environment '{name}': leave it out")
+    world: Any = simulated.environment.world
+    steps = getattr(world, 'loops', 1) * getattr(world, 'steps_per_loop', 1)
+    if steps > MAX_STEPS:
+        raise UsageError(
+            f"parameters 'loops' and 'steps_per_loop' make {steps:,} steps, at most {MAX_STEPS:,}"
+            ' can be simulated: lower one')
     return simulated
 
 
