@@ -41,6 +41,8 @@ MISSING_MODULES = {
     'rosbags': (
         "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install rosbags'"),
     'foxglove': "pip install '.[foxglove]'",
+    # Not on PyPI.
+    'tf2_msgs': 'apt install ros-jazzy-tf2-msgs',
     'distributed': "pip install '.[dask]'"}
 #: What to do without the others.
 NO_ROS = "source ROS 2 Jazzy, or install it from PyPI: pip install '.[jazzy]'"

@@ -10,24 +10,37 @@ from contextlib import AbstractContextManager, closing
 from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import integer_option, processors
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments.common import executor
 from fej_slam_ros.experiments.common.executor import ResultT, TaskT
 
 
+#: Values of options that are not given.
+DEFAULTS = {'runs': 100, 'seed': 1, 'jobs': processors()}
+
+
 def add_arguments(parser: ArgumentParser) -> None:
     parser.add_argument(
-        '--runs', type=integer_option('--runs', 1), default=100, metavar='N',
-        help='Monte Carlo runs of each experiment (default: %(default)s)')
+        '--runs', type=integer_option('--runs', 1), metavar='N',
+        help=f'Monte Carlo runs of each experiment (default: {DEFAULTS["runs"]})')
     parser.add_argument(
         '--run', type=integer_option('--run', 1), metavar='K', help='only run number K of them')
     parser.add_argument(
-        '--seed', type=integer_option('--seed', 0), default=1, metavar='S',
-        help='seed of all noise (default: %(default)s)')
+        '--seed', type=integer_option('--seed', 0), metavar='S',
+        help=f'seed of all noise (default: {DEFAULTS["seed"]})')
     parser.add_argument(
-        '--jobs', type=integer_option('--jobs', 1), default=processors(), metavar='J',
-        help='worker processes (default: one per processor, %(default)s)')
+        '--jobs', type=integer_option('--jobs', 1), metavar='J',
+        help=f'worker processes (default: one per processor, {DEFAULTS["jobs"]})')
     parser.add_argument(
         '--dask', metavar='ADDRESS', help='use the workers of this Dask scheduler (extra: dask)')
+
+
+def with_defaults(arguments: Namespace) -> Namespace:
+    """Return the arguments with values for all options but --run and --dask."""
+    if arguments.run is not None and arguments.runs is not None and arguments.run > arguments.runs:
+        raise UsageError(f'--run {arguments.run} is none of --runs {arguments.runs}')
+    given = {name: value for name, value in vars(arguments).items() if value is not None}
+    return Namespace(**{**vars(arguments), **DEFAULTS, **given})
 
 
 def numbers(arguments: Namespace) -> range:

@@ -19,7 +19,7 @@ runs.
 """
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -64,11 +64,23 @@ class Order(NamedTuple):
         return tables.OWN_WORLDS if data is None else tables.authors(data)
 
 
+#: Options of Monte Carlo runs, and of where they take place.
+MONTE_CARLO = frozenset({'runs', 'run', 'seed', 'jobs', 'dask'})
+WORKERS = frozenset({'jobs', 'dask'})
+
+
 class Part(NamedTuple):
-    """A part: its function, the files it always writes, and what --data must hold if needed."""
+    """
+    A part of the experiments.
+
+    That is its function, the files it always writes, the options that it reads, and what --data
+    must hold if needed.
+
+    """
 
     run: Callable[[Order], None]
     files: Sequence[str]
+    options: Collection[str]
     needs: str = ''
     in_all: bool = True
     draws: bool = True
@@ -101,7 +113,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    order = Order(arguments, arguments.output, _chosen(arguments), [
+    chosen = _chosen(arguments)
+    order = Order(monte_carlo.with_defaults(arguments), arguments.output, chosen, [
         configuration for configuration in CONFIGURATIONS
         if not arguments.only or str(configuration) in arguments.only])
     paths = [order.output / name for name in _files(order)]
@@ -126,6 +139,11 @@ def _chosen(arguments: Namespace) -> list[str]:
     """Return the requested parts, for all those that have the data they need."""
     if (arguments.robots is None) != (arguments.landmarks is None):
         raise UsageError('--robots and --landmarks go together: give both or none')
+    parts = [PARTS[arguments.part]] if arguments.part != 'all' else [*PARTS.values()]
+    for option in sorted(frozenset().union(*(part.options for part in PARTS.values()))):
+        if getattr(arguments, option) is not None and all(
+                option not in part.options for part in parts):
+            print(f'--{option} has no effect on {arguments.part}')
     if arguments.part != 'all':
         needs = PARTS[arguments.part].needs
         if needs and arguments.data is None:
@@ -296,21 +314,28 @@ def _report_files(name: str) -> list[str]:
 
 
 PARTS = {
-    'tables': Part(_simulated, [*_report_files('tables'), 'runs.csv'], draws=False),
-    'figures': Part(_simulated, []),
+    'tables': Part(
+        _simulated, [*_report_files('tables'), 'runs.csv'], MONTE_CARLO | {'data', 'only'},
+        draws=False),
+    'figures': Part(_simulated, [], MONTE_CARLO | {'data', 'only'}),
     'victoria_park': Part(
         _victoria_park, [
             *_report_files('victoria_park'), 'figure_6.png', 'victoria_park_poses.csv',
             'victoria_park_landmarks.csv'],
-        'the folder with Zstate_VicPark_6898_loops.mat or VicPark_clean_data.mat'),
+        {'data'}, 'the folder with Zstate_VicPark_6898_loops.mat or VicPark_clean_data.mat'),
     'observability': Part(
-        _observability, [*_report_files('observability'), 'observability.png']),
-    'csam': Part(_csam, [*_report_files('csam'), *CSAM_FIGURES.values(), EXCHANGE_FIGURE]),
-    'noise': Part(_noise, [*_report_files('noise'), 'noise_runs.csv', 'noise.png']),
+        _observability, [*_report_files('observability'), 'observability.png'],
+        {'seed', 'robots', 'landmarks'}),
+    'csam': Part(
+        _csam, [*_report_files('csam'), *CSAM_FIGURES.values(), EXCHANGE_FIGURE], MONTE_CARLO),
+    'noise': Part(
+        _noise, [*_report_files('noise'), 'noise_runs.csv', 'noise.png'],
+        MONTE_CARLO | {'data', 'only'}),
     'mrclam': Part(
-        _mrclam, ['mrclam.md', 'mrclam.json'],
+        _mrclam, ['mrclam.md', 'mrclam.json'], WORKERS | {'data'},
         'the folder of an MRCLAM set, with Barcodes.dat, or of several sets', in_all=False,
         draws=False),
     'raw_victoria_park': Part(
         _raw_victoria_park, ['raw_victoria_park.md', 'raw_victoria_park.json'],
-        'the folder with aa3_dr.mat and data_sensor_clean_clean.mat', in_all=False, draws=False)}
+        WORKERS | {'data'}, 'the folder with aa3_dr.mat and data_sensor_clean_clean.mat',
+        in_all=False, draws=False)}

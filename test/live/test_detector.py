@@ -30,6 +30,18 @@ def counted(reports, robot, count):
     return values.get(count, 0)
 
 
+def test_reports_name_the_namespace_and_a_missing_clock():
+    with live_helpers.Domain() as domain:
+        domain.start('detector', '--ros-args', '-r', '__ns:=/fleet', '-p', 'robots:=[r1]',
+                     '-p', 'use_sim_time:=true')
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+        domain.until(lambda: reports)
+
+    status, = reports[0].status
+    assert status.name == 'fleet/detector: r1'
+    assert status.message == 'waiting for /clock: use_sim_time is set'
+
+
 def test_live_landmarks_are_those_of_detect(tmp_path):
     world = write_parameters(tmp_path / 'world.yaml', **WORLD)
     settings = write_parameters(tmp_path / 'detector.yaml', robots=['r1', 'r2'], **RELIABLE)

@@ -69,6 +69,7 @@ class View(ServerListener):
         self._types: dict[str, str] = {}
         self._plotted = PlottedNode()
         self._warnings: set[str] = set()
+        self._follows_clock = False
         self._served = {
             CONSISTENCY: ServedTopic(
                 foxglove.Channel(CONSISTENCY, schema=SCHEMA, context=self.context)),
@@ -87,15 +88,21 @@ class View(ServerListener):
         return int(self._node.get_clock().now().nanoseconds)
 
     def _update(self) -> None:
-        simulated = self._node.get_parameter('use_sim_time').value
-        if not simulated and self._node.count_publishers('/clock'):
-            self._node.set_parameters([Parameter('use_sim_time', value=True)])
+        self._follow_clock()
         for topic, types in self._node.get_topic_names_and_types():
             # A subscription adapts to the publishers that exist when it is created.
             if topic not in self._served and self._node.count_publishers(topic):
                 self._offer(topic, types)
         for topic, type_name in self._types.items():
             self._match(topic, type_name)
+
+    def _follow_clock(self) -> None:
+        """Use simulated time while it is published, unless the user has decided."""
+        is_simulated = bool(self._node.get_parameter('use_sim_time').value)
+        has_clock = self._node.count_publishers('/clock') > 0
+        if has_clock != is_simulated and (has_clock or self._follows_clock):
+            self._node.set_parameters([Parameter('use_sim_time', value=has_clock)])
+            self._follows_clock = has_clock
 
     def _offer(self, topic: str, types: Sequence[str]) -> None:
         # Another node may publish a topic of the same name with a type of its own.

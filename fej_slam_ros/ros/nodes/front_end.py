@@ -4,9 +4,10 @@
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
-from importlib.util import find_spec
 from time import monotonic
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 
@@ -16,7 +17,8 @@ from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
 from fej_slam_ros.ros.nodes.qos import overridable
 from fej_slam_ros.ros.nodes.ros_process import (
-    check_topic_names, descriptor, message_class, ParameterNode, ros, wait_for_arrival)
+    check_topic_names, descriptor, is_installed, message_class, ParameterNode, ros,
+    wait_for_arrival)
 from fej_slam_ros.ros.nodes.topics import front_end_qos, input_qos
 from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES, Value
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
@@ -91,13 +93,15 @@ class FrontEndNode(ParameterNode):
             topic: self.create_publisher(message_class(type_name), topic, front_end_qos(topic))
             for topic, type_name in front_end.outputs.items()}
         for topic, type_name in front_end.topics.items():
-            if type_name != TF_TYPE or _is_installed(TF_TYPE):
+            if type_name != TF_TYPE or is_installed(TF_TYPE):
                 self._subscribe(topic, type_name)
-        if not _is_installed(TF_TYPE):
+        if not is_installed(TF_TYPE):
             self.get_logger().info(
                 'the places of sensors are not read from /tf_static because tf2_msgs is missing:'
                 ' apt install ros-jazzy-tf2-msgs')
-        self.create_timer(REPORT_PERIOD, self._report)
+        # Reports do not wait for simulated time.
+        self.create_timer(
+            REPORT_PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def work(self) -> None:
         """Publish what needs no further messages."""
@@ -128,8 +132,11 @@ class FrontEndNode(ParameterNode):
 
     def _report(self) -> None:
         now = self.get_clock().now().nanoseconds
-        counts = list(self._front_end.counts())
-        self._publish([report(self.get_name(), counts, now)])
+        missing = '' if now else 'waiting for /clock: use_sim_time is set'
+        counts = [
+            (robot, missing or warning, values)
+            for robot, warning, values in self._front_end.counts()]
+        self._publish([report(self.get_fully_qualified_name().lstrip('/'), counts, now)])
         for robot, warning, _ in counts:
             before, reports = self._warnings.get(robot, ('', 0))
             reports = reports + 1 if warning == before else 1
@@ -141,12 +148,8 @@ class FrontEndNode(ParameterNode):
 def check_installed(type_names: Iterable[str]) -> None:
     """Raise UserError if the package of a message type is not installed."""
     for type_name in type_names:
-        if not _is_installed(type_name):
+        if not is_installed(type_name):
             package = type_name.partition('/')[0]
             raise UserError(
                 f'messages of {type_name} need the package {package}: apt install'
                 f' ros-jazzy-{package.replace("_", "-")}, or source the workspace that has it')
-
-
-def _is_installed(type_name: str) -> bool:
-    return find_spec(type_name.partition('/')[0]) is not None

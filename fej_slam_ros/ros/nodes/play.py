@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Publish the messages of a bag on their topics."""
 
+from collections.abc import Mapping
 import math
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.nodes.player import Player
-from fej_slam_ros.ros.nodes.ros_process import ros
+from fej_slam_ros.ros.nodes.ros_process import is_installed, ros
 
 
 def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> int:
@@ -20,10 +21,26 @@ def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> 
     if not 0.0 < rate < math.inf:
         raise UsageError(f'--rate {rate}: give a number above 0')
     topics = bags.topics(bag, names)
-    total = sum(topic.messages for topic in topics.values())
     with ros([]) as stopped:
-        types = {name: topic.type_name for name, topic in topics.items()}
-        latched = [name for name, topic in topics.items() if topic.latched]
-        player = Player(Node('play'), types, latched, rate, clock)
-        messages = tqdm(bags.read(bag, names), total=total, unit='msg', disable=None)
+        node = Node('play')
+        played = {
+            name: topic for name, topic in topics.items() if is_installed(topic.type_name)}
+        if played.keys() < topics.keys():
+            node.get_logger().warning(
+                _left_out({name: topics[name] for name in topics if name not in played}))
+        latched = [name for name, topic in played.items() if topic.latched]
+        player = Player(
+            node, {name: topic.type_name for name, topic in played.items()}, latched, rate, clock)
+        messages = tqdm(
+            (message for message in bags.read(bag, names) if message.topic in played),
+            total=sum(topic.messages for topic in played.values()), unit='msg', disable=None)
         return player.run(messages, wait, stopped)
+
+
+def _left_out(topics: Mapping[str, bags.BagTopic]) -> str:
+    """Return which topics are not played, and which packages they need."""
+    names = ', '.join(f'{name} ({topic.messages} messages)' for name, topic in topics.items())
+    packages = sorted({
+        topic.type_name.partition('/')[0].replace('_', '-') for topic in topics.values()})
+    return f'left out: {names}; to play them, apt install ' + ' '.join(
+        f'ros-jazzy-{package}' for package in packages)

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from itertools import pairwise
 import os
 from pathlib import Path
@@ -31,6 +32,7 @@ from rosgraph_msgs.msg import Clock
 
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.core.pieces import EndedError
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.interrupts import handled
 from fej_slam_ros.ros.parameters.parsing import MAX_WARNINGS, shortened
@@ -132,14 +134,14 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
 
 
 class CheckedClockNode(Node):
-    """A node that ignores negative simulated time, with which another node would end it."""
+    """A node that ignores simulated time out of range, with which another node would end it."""
 
     def create_subscription(
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **kwargs: Any
     ) -> Subscription:
         """Create a subscription; that of the clock is created by rclpy."""
         def receive(message: Clock) -> None:
-            if message.clock.sec >= 0:
+            if message.clock.sec >= 0 and message.clock.nanosec < NS:
                 callback(message)
 
         of_clock = msg_type is Clock
@@ -232,6 +234,11 @@ def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
         described.floating_point_range = [
             FloatingPointRange(from_value=float(within.low), to_value=float(within.high))]
     return described
+
+
+def is_installed(type_name: str) -> bool:
+    """Return whether the package of a message type is installed."""
+    return find_spec(type_name.partition('/')[0]) is not None
 
 
 def message_class(type_name: str) -> Any:

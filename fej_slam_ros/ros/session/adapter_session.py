@@ -104,12 +104,13 @@ class AdapterSession:
 
     def take(self, is_wanted: IsWanted = lambda _: True) -> Iterator[Publication]:
         """Yield what is to be published of the messages whose sensors are known."""
-        newest = self._ids_stamp
+        latest = self._ids_stamp
         for robot, sensor, scan in self._queue.take():
             yield from self._published(robot, sensor, scan, is_wanted)
-            newest = max(newest, scan.stamp)
-        if newest - self._ids_stamp >= NS:
-            self._ids_stamp = newest
+            latest = scan.stamp
+        # Stamps may go back, as of a bag that is played again.
+        if abs(latest - self._ids_stamp) >= NS:
+            self._ids_stamp = latest
             yield from self._new_ids()
 
     def close(self) -> Iterator[Publication]:

@@ -95,6 +95,15 @@ def test_observability_is_reported_for_any_number_of_robots_and_landmarks(reprod
     assert (tmp_path / 'out' / 'observability.png').read_bytes().startswith(PNG)
 
 
+def test_options_without_effect_are_named(reproduce):
+    status, out, _ = reproduce(
+        'observability', '--robots', '1', '--landmarks', '3', '--runs', '2', '--only', '1/20')
+
+    assert status == 0
+    assert out.splitlines()[:2] == [
+        '--only has no effect on observability', '--runs has no effect on observability']
+
+
 def test_a_single_robot_has_no_case_with_robot_observations(reproduce, tmp_path):
     reproduce('observability', '--robots', '1', '--landmarks', '3')
 
@@ -185,6 +194,7 @@ def test_victoria_park_is_written_with_its_figure_and_all_solutions(
     (['tables', '--jobs', '-1'], 2, '--jobs: -1 is not an integer of at least 1'),
     (['observability', '--robots', '2'], 2,
      '--robots and --landmarks go together: give both or none'),
+    (['tables', '--runs', '2', '--run', '5'], 2, '--run 5 is none of --runs 2'),
     (['victoria_park'], 2,
      ('victoria_park needs --data: the folder with Zstate_VicPark_6898_loops.mat or'
       ' VicPark_clean_data.mat')),
@@ -200,12 +210,12 @@ def test_a_usage_error_is_one_sentence_and_writes_nothing(
     assert not (tmp_path / 'out').exists() or not contents(tmp_path / 'out')
 
 
-@pytest.mark.parametrize('part', ['tables', 'victoria_park'])
+@pytest.mark.parametrize('part', [['tables', '--only', '1/20'], ['victoria_park']])
 def test_an_unreadable_data_file_is_named(reproduce, tmp_path, part):
     for name in ('MT_Parameters_20fea_1.mat', 'Zstate_VicPark_6898_loops.mat'):
         (tmp_path / name).write_text('<html>404</html>', encoding='utf-8')
 
-    status, out, errors = reproduce(part, '--data', tmp_path, '--only', '1/20')
+    status, out, errors = reproduce(*part, '--data', tmp_path)
 
     assert (status, out) == (1, '')
     assert re.fullmatch(

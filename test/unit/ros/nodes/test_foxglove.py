@@ -330,6 +330,24 @@ def test_simulated_time_is_used_if_published(viewed):
     viewed.domain.until(told)
 
 
+def test_the_time_of_the_machine_is_used_again_once_nobody_publishes_simulated_time(viewed):
+    clock = viewed.publisher('/clock', 'rosgraph_msgs/msg/Clock')
+    client = viewed.client()
+    viewed.wait_until_wanted(clock)
+    clock.publish(raw('', outgoing.clock(1_500_000_000)).raw)
+    client.received['/view/consistency'] = []
+
+    def sent(is_last):
+        client.got('/view/consistency', 0)
+        return bool(client.times) and is_last(client.times[-1])
+
+    viewed.domain.until(lambda: sent(lambda time: time == 1_500_000_000))
+    viewed.domain.node.destroy_publisher(clock)
+
+    # That of the machine is decades later.
+    viewed.domain.until(lambda: sent(lambda time: time > 10**18))
+
+
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_server_cleanly(viewed, number):
     viewed.client()

@@ -3,6 +3,7 @@
 """A bag is played on its topics as it was recorded."""
 
 from itertools import count, repeat, takewhile
+import re
 import signal
 from time import monotonic
 
@@ -10,7 +11,8 @@ import pytest
 
 from fej_slam_ros.ros.files import bags
 from helpers.optional import optional
-from helpers.ros import meeting, meeting_truth, ODOMETRY, odometry_message, raw
+from helpers.ros import (
+    meeting, meeting_truth, ODOMETRY, odometry_message, raw, run_verb, write_parameters)
 
 process = optional('fej_slam_ros.ros.nodes.ros_process')
 live_helpers = optional('helpers.live')
@@ -45,6 +47,22 @@ def node(domain):
     node = nodes.Node('player')
     yield node
     node.destroy_node()
+
+
+def test_topics_of_packages_that_are_not_installed_are_left_out(domain, bag, tmp_path):
+    # tf2_msgs is not on PyPI; where it is installed, this test has nothing to show.
+    if process.is_installed('tf2_msgs/msg/TFMessage'):
+        pytest.skip('tf2_msgs is installed')
+    team = write_parameters(tmp_path / 'team.yaml', robots=['r1', 'r2'])
+    words = bag, '--params', team, '--output', tmp_path / 'out', '--bag'
+    assert run_verb('replay', *words) == 0
+
+    playing = domain.start('play', tmp_path / 'out' / 'bag', '--rate', 100, '--no-wait')
+    status, errors = domain.finish(playing)
+
+    assert status == 0
+    assert re.search(
+        r'left out: /tf \(\d+ messages\); to play them, apt install ros-jazzy-tf2-msgs', errors)
 
 
 def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):

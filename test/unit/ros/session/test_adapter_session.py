@@ -234,6 +234,19 @@ def test_names_have_the_same_ids_at_all_robots_whatever_they_see_first():
     assert len({*ids(names).values()}) == len(names)
 
 
+def test_new_ids_are_published_and_saved_after_stamps_have_gone_back():
+    saved = []
+    session = session_of(lambda ids: saved.append(dict(ids)))
+    messages = [foreign.april_tags(ms, 'r1/base_link', {f'tag36h11:{tag}': SEEN})
+                for ms, tag in ((900_000, 8), (2000, 9))]
+
+    for message in (ODOMETRY, *messages):
+        session.receive(message)
+        list(session.take())
+
+    assert saved[-1] == {'tag36h11:8': 8, 'tag36h11:9': 9}
+
+
 def test_new_ids_are_published_and_saved_once_a_second_and_at_the_end():
     saved = []
     session = session_of(lambda ids: saved.append(dict(ids)), ids={'dock': 3})
