@@ -96,7 +96,25 @@ def test_a_bag_played_again_starts_a_new_run_where_that_is_set(domain, tmp_path,
         assert summary['rmse'] == expected['rmse']
 
 
-def test_negative_simulated_time_is_ignored(domain, tmp_path):
+def test_simulated_time_that_stands_still_is_a_warning(domain, tmp_path):
+    parameters = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS, use_sim_time=True)
+    domain.start('estimator', '--ros-args', '--params-file', parameters)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    clock = domain.node.create_publisher(
+        live_helpers.message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
+
+    def told(text):
+        statuses = [s for r in reports[-1:] for s in r.status if s.name.endswith('filter')]
+        return any(text in status.message for status in statuses)
+
+    domain.until(lambda: told('waiting for /clock: use_sim_time is set'))
+    domain.until(clock.get_subscription_count)
+    clock.publish(raw('', outgoing.clock(5 * 10**9)).raw)
+
+    domain.until(lambda: told('simulated time has stood still for'))
+
+
+def test_simulated_time_out_of_range_is_ignored(domain, tmp_path):
     parameters = write_parameters(tmp_path / 'team.yaml', robots=ROBOTS, use_sim_time=True)
     estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
     reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
@@ -104,8 +122,11 @@ def test_negative_simulated_time_is_ignored(domain, tmp_path):
         live_helpers.message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
     domain.until(lambda: reports and clock.get_subscription_count())
 
-    for second in 5, -5, 6:
-        clock.publish(raw('', outgoing.clock(second * 10**9)).raw)
+    too_large = outgoing.clock(5 * 10**9)
+    too_large.clock.nanosec = 1_500_000_000
+    for time in outgoing.clock(5 * 10**9), outgoing.clock(-5 * 10**9), too_large:
+        clock.publish(raw('', time).raw)
+    clock.publish(raw('', outgoing.clock(6 * 10**9)).raw)
     domain.until(lambda: reports[-1].header.stamp.sec == 6)
 
     assert domain.finish(estimator, signal.SIGINT)[0] == 0

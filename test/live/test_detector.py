@@ -30,6 +30,23 @@ def counted(reports, robot, count):
     return values.get(count, 0)
 
 
+def test_a_sensor_that_falls_silent_is_a_warning(tmp_path):
+    world = write_parameters(tmp_path / 'world.yaml', **WORLD)
+    assert run_verb('simulate', '--params', world, '--output', tmp_path / 'bag') == 0
+    sent = [m for m in bags.read(tmp_path / 'bag') if m.topic in {'r1/odom', 'r1/scan'}]
+
+    with live_helpers.Domain() as domain:
+        domain.start('detector', '--ros-args', '-p', 'robots:=[r1]')
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+        domain.until(lambda: reports)
+        while not counted(reports, 'r1', 'scans'):
+            domain.send(*sent[:200])
+            before = len(reports)
+            domain.until(lambda: len(reports) > before)  # noqa: B023
+
+        domain.until(lambda: 'no usable scans for' in reports[-1].status[0].message)
+
+
 def test_reports_name_the_namespace_and_a_missing_clock():
     with live_helpers.Domain() as domain:
         domain.start('detector', '--ros-args', '-r', '__ns:=/fleet', '-p', 'robots:=[r1]',

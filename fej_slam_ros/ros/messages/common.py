@@ -13,6 +13,8 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import NS
 
+#: Last stamp that a message can have [ns].
+LAST_STAMP = 2**31 * NS - 1
 #: Hardware ID of the statuses that are of no single robot.
 REPORTER = 'fej_slam_ros'
 

@@ -36,7 +36,8 @@ from fej_slam_ros.core.rejections import Rejection
 from fej_slam_ros.detection.records import AnyRecord, RobotLaserScan, RobotTags
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
-from fej_slam_ros.ros.messages.common import header, REPORTER, to_covariance, to_pose, to_time
+from fej_slam_ros.ros.messages.common import (
+    header, LAST_STAMP, REPORTER, to_covariance, to_pose, to_time)
 from fej_slam_ros.ros.messages.markers import tag_markers
 
 #: Type of a message of text.
@@ -183,7 +184,8 @@ def transforms(
     """
     return TFMessage(transforms=[
         _transform(
-            estimate.stamp + post_date, estimate.frame, odometry_frames[estimate.robot],
+            min(estimate.stamp + post_date, LAST_STAMP), estimate.frame,
+            odometry_frames[estimate.robot],
             compose(estimate.pose, inverse(odometry[estimate.robot])))
         for estimate in estimates])
 

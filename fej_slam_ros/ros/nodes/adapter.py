@@ -25,6 +25,9 @@ class AdapterNode(FrontEndNode):
         settings = parse_adapter(self.given, self.get_logger().warning)
         check_installed(used.type_name for used in settings.object_formats())
         self._ids = IdsFile(settings.ids_file)
+        # IDs that could not be saved, and why.
+        self._unsaved: Mapping[str, int] = {}
+        self._error = ''
         self.start(
             AdapterSession(settings, self._ids.ids, self._save), adapter_values(settings),
             known_parameters(settings.robots))
@@ -32,11 +35,24 @@ class AdapterNode(FrontEndNode):
     def close(self) -> None:
         """Publish and save what is left, and wait until it has arrived."""
         super().close()
+        self._retry()
         self._ids.close()
 
+    def _report(self) -> None:
+        super()._report()
+        self._retry()
+
+    def _retry(self) -> None:
+        if self._unsaved:
+            self._save(self._unsaved)
+
     def _save(self, ids: Mapping[str, int]) -> None:
+        error, self._unsaved = self._error, {}
         try:
             self._ids.save(ids)
-        except UserError as error:
-            # The IDs are the same without the file.
-            self.get_logger().warning(f'ids_file: {error}')
+            self._error = ''
+        except UserError as raised:
+            # The IDs are the same without the file, which is completed later.
+            self._unsaved, self._error = dict(ids), str(raised)
+        if self._error not in {'', error}:
+            self.get_logger().warning(f'ids_file: {self._error}')

@@ -75,6 +75,8 @@ class FrontEndNode(ParameterNode):
         super().__init__(name)
         # The latest warning of each robot, and the number of reports that had it.
         self._warnings: dict[str, tuple[str, int]] = {}
+        # The number of scans or messages of each robot, and of reports since it changed.
+        self._used: dict[str, tuple[int, int]] = {}
         self.received = 0
 
     def start(
@@ -134,7 +136,7 @@ class FrontEndNode(ParameterNode):
         now = self.get_clock().now().nanoseconds
         missing = '' if now else 'waiting for /clock: use_sim_time is set'
         counts = [
-            (robot, missing or warning, values)
+            (robot, missing or warning or self._silence(robot, values), values)
             for robot, warning, values in self._front_end.counts()]
         self._publish([report(self.get_fully_qualified_name().lstrip('/'), counts, now)])
         for robot, warning, _ in counts:
@@ -143,6 +145,17 @@ class FrontEndNode(ParameterNode):
             self._warnings[robot] = warning, reports
             if warning and reports == PATIENCE:
                 self.get_logger().warning(f'{robot}: {warning}')
+
+
+    def _silence(self, robot: str, values: Mapping[str, int]) -> str:
+        """Return since when no data of a robot could be used, '' if they came lately."""
+        kind = 'scans' if 'scans' in values else 'messages'
+        used = values.get(kind, 0)
+        before, reports = self._used.get(robot, (0, 0))
+        reports = reports + 1 if used == before else 0
+        self._used[robot] = used, reports
+        is_silent = used > 0 and reports >= PATIENCE
+        return f'no usable {kind} for {REPORT_PERIOD * reports:.0f} s' if is_silent else ''
 
 
 def check_installed(type_names: Iterable[str]) -> None:

@@ -13,7 +13,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from itertools import count, islice
 from pathlib import Path
-from time import perf_counter
+from time import monotonic, perf_counter
 from typing import Any
 
 from rclpy.clock import Clock
@@ -36,11 +36,14 @@ from fej_slam_ros.ros.nodes.settings_node import SettingsNode
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import also_published
+from fej_slam_ros.ros.session.late_starts import NothingMissed
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
 
 #: Period of /diagnostics [s], as REP-107 recommends.
 DIAGNOSTICS_PERIOD = 1.0
+#: Time of the machine [s] for which simulated time may stand still.
+CLOCK_PATIENCE = 5.0
 
 
 class SessionNode(SettingsNode):
@@ -71,6 +74,8 @@ class SessionNode(SettingsNode):
         self.is_urgent: Callable[[], bool] = lambda: False
         self.check_time: Callable[[], None] = lambda: None
         self._last_input: int | None = None
+        # Simulated time [ns], and when it changed on the clock of the machine [s].
+        self._clock_time, self._clock_moved_at = 0, monotonic()
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
         self._saver = RunSaver(self.get_logger(), self._files, lambda: self._session)
@@ -261,7 +266,7 @@ class SessionNode(SettingsNode):
         self._session.check_time = self.check_time
         state_hash = self._session.write_files()['state_hash']
         self.get_logger().info(
-            f'state hash {state_hash or "is missing: the end was requested during a long step"}')
+            f'state hash {state_hash or "is missing: the end was requested before it was known"}')
         output = self._session.settings.node.output
         if self._files.finish() and output:
             self.get_logger().info(f'files are in {output}')
@@ -278,6 +283,7 @@ class SessionNode(SettingsNode):
         ended.write_files()
         self._files.end(REQUEST_WAIT)
         self._start_session(ended.next_settings(self._next_output()))
+        self._session.inputs.start_check = NothingMissed()
         self._session.continue_from(ended)
         return self._files.check().get('output', '')
 
@@ -330,7 +336,7 @@ class SessionNode(SettingsNode):
         if now is None or self._last_input is None:
             return False
         # The input has also ended if the clock went back.
-        return not 0 <= now - self._last_input <= self._settings.estimation.stale_after * 1e9
+        return abs(now - self._last_input) > self._settings.estimation.stale_after * 1e9
 
     def _publish_next_map(self) -> bool:
         """Publish one pending map or path; return whether there was any, and time for it."""
@@ -363,10 +369,24 @@ class SessionNode(SettingsNode):
         diagnostics.other_publishers = others
         at_rest = self._last_input is None and not self.is_overdue()
         now = self._now()
+        diagnostics.clock_fault = self._clock_fault(now)
         self._topics.publish([diagnostics.report(now or 0, at_rest)])
         if self.is_active:
             self._session.check(now)
             self.write_log()
+
+    def _clock_fault(self, now: int | None) -> str:
+        """Return why simulated time does not advance, '' if it does."""
+        if not self.get_parameter('use_sim_time').value:
+            return ''
+        if now is None:
+            return 'waiting for /clock: use_sim_time is set'
+        if now != self._clock_time:
+            self._clock_time, self._clock_moved_at = now, monotonic()
+        stands = monotonic() - self._clock_moved_at
+        if stands < CLOCK_PATIENCE:
+            return ''
+        return f'simulated time has stood still for {stands:.0f} s'
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self.timed_callback():

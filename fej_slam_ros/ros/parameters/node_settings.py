@@ -5,7 +5,8 @@
 from dataclasses import dataclass, field
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, FRAME, NOT_NEGATIVE, one_of, parameter, PERIOD, POSITIVE, ROBOT_NAMES, TEXT, TEXTS)
+    FLAG, FRAME, NOT_NEGATIVE, numbers, one_of, parameter, PERIOD, POSITIVE, Range, ROBOT_NAMES,
+    TEXT, TEXTS)
 from fej_slam_ros.core.settings import Settings
 
 
@@ -29,7 +30,7 @@ class CommonNodeSettings:
         'shared', one_of('shared', 'robot', 'both'),
         'topics of the transforms: /tf, <robot>/tf of each robot, or both')
     transform_tolerance: float = parameter(
-        0.1, NOT_NEGATIVE,
+        0.1, numbers('a number', Range(0, 3600)),
         'duration by which the stamps of transforms are later than the odometry that they are'
         ' predicted with', 's', changeable=True)
     map_period: float = parameter(

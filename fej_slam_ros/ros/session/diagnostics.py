@@ -80,6 +80,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     latencies : delays [s] of the poses published since, from stamp to publication, likewise
     callback_times : durations [s] of the callbacks since, which block all others, likewise
     incompatible : topics with incompatible quality of service, set by the caller
+    clock_fault : why simulated time does not advance, '' if it does, set by the caller
     file_errors : why files are not complete or up to date, by parameter, likewise
     publishers : publishers on the input topics, by relative name, set by the caller
     other_publishers : other nodes that publish the pose of a robot, by robot, set by the caller
@@ -101,6 +102,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self.latencies: deque[float] = deque(maxlen=MAX_TIMES)
         self.callback_times: deque[float] = deque(maxlen=MAX_TIMES)
         self.incompatible: Sequence[IncompatibleQos] = ()
+        self.clock_fault = ''
         self.file_errors: Mapping[str, str] = {}
         self.publishers: Mapping[str, TopicPublishers] = {}
         self.other_publishers: Mapping[str, str] = {}
@@ -109,12 +111,15 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """
         Return the report at a time [ns]; rates refer to the time since the last report.
 
+        The time is 0 while simulated time has not begun.
+
         At rest, when the input has paused or ended, the report includes the state hash, which
         takes too long to compute at other times.
 
         """
-        elapsed = 0.0 if self._reported_at is None else (now - self._reported_at) * 1e-9
-        self._inputs.health.sample(now)
+        elapsed = 0.0 if not self._reported_at else (now - self._reported_at) * 1e-9
+        if now:
+            self._inputs.health.sample(now)
         statuses = [
             *self._robots(now, elapsed), self._qos(), self._files(), self._overall(now, at_rest)]
         self._reported_at = now
@@ -218,7 +223,9 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     ) -> Message:
         """Return a status with warnings, and with an error once time has jumped back."""
         no_input = self._no_input(now)
-        messages = [*warnings, *([no_input.message] if no_input else [])]
+        messages = [
+            *filter(None, [self.clock_fault]), *warnings,
+            *([no_input.message] if no_input else [])]
         if self._consumer.statistics.depends_on_arrival():
             messages.append('the result depended on the order of arrival')
         level = DiagnosticStatus.WARN if messages else DiagnosticStatus.OK

@@ -62,7 +62,7 @@ def test_topics_of_packages_that_are_not_installed_are_left_out(domain, bag, tmp
 
     assert status == 0
     assert re.search(
-        r'left out: /tf \(\d+ messages\); to play them, apt install ros-jazzy-tf2-msgs', errors)
+        r'left out: tf \(\d+ messages\); to play them, apt install ros-jazzy-tf2-msgs', errors)
 
 
 def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):

@@ -7,6 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import EstimatorOutputs
@@ -79,6 +81,16 @@ def test_the_fused_odometry_has_the_velocity_and_the_base_frame_of_the_odometry(
     fused = through_cdr(dict([*at_once, *in_steps])['r1/odometry/filtered'])
     assert (fused.child_frame_id, fused.twist.twist.linear.x) == ('base_footprint', 0.7)
     np.testing.assert_array_equal(fused.twist.covariance, message.twist.covariance)
+
+
+def test_no_transform_is_later_than_stamps_can_be():
+    pose = PoseEstimate(
+        'r1', 2**31 * 10**9 - 5, 'map', np.zeros(3), np.eye(3))
+
+    message = outgoing.transforms([pose], {'r1': np.zeros(3)}, {'r1': 'r1/odom'}, 10**9)
+
+    stamp = message.transforms[0].header.stamp
+    assert (stamp.sec, stamp.nanosec) == (2**31 - 1, 999_999_999)
 
 
 @pytest.mark.parametrize('tolerance', [0.0, 0.1])
