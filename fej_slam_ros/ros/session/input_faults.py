@@ -23,13 +23,6 @@ from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 #: Topics of observations of a robot, by the last part of their names.
 OBSERVATION_TOPICS = ('landmarks', 'robots')
 
-#: Minimum number of messages, and minimum time [ns], for which all must be rejected: one bad
-#: message is no fault, and two reports are a second apart.
-MIN_REJECTED = 3
-MIN_REJECTED_TIME = NS
-#: Reasons for which input that is sent again is rejected, as intended.
-SENT_AGAIN = {RejectionReason.DUPLICATE, RejectionReason.BEFORE_CHECKPOINT}
-
 #: Fraction of gated observations above which to warn, and above which it is an error; a correct
 #: one is gated with probability 0.001.
 GATED_WARN, GATED_ERROR = 0.5, 0.9
@@ -187,15 +180,11 @@ def _observations_stopped(given: RobotInput) -> Iterator[Fault]:
 def _all_rejected(given: RobotInput) -> Iterator[Fault]:
     for kind in ('odom', *OBSERVATION_TOPICS):
         flow = given.flow(kind)
-        count = flow.rejected_in_a_row.total()
-        is_reported_elsewhere = flow.rejected_in_a_row.keys() <= {RejectionReason.TOO_LARGE}
-        is_long = given.now - flow.rejected_since >= MIN_REJECTED_TIME
-        if count >= MIN_REJECTED and is_long and not is_reported_elsewhere:
-            is_expected = flow.rejected_in_a_row.keys() <= SENT_AGAIN
+        if flow.are_all_rejected(given.now):
             yield Fault(
-                Level.WARN if is_expected else Level.ERROR,
-                f'the last {count} messages on {given.topic(kind)} were all rejected:'
-                f' {_reasons(flow.rejected_in_a_row)}')
+                Level.WARN if flow.is_sent_again() else Level.ERROR,
+                f'the last {flow.rejected_in_a_row.total()} messages on {given.topic(kind)} were'
+                f' all rejected: {reasons_in_words(flow.rejected_in_a_row)}')
 
 
 def _too_large(given: RobotInput) -> Iterator[Fault]:
@@ -241,7 +230,7 @@ def _none_used(given: RobotInput) -> Iterator[Fault]:
     if (health.unused_since is None or given.now - health.unused_since < patience
             or health.unused_observations < MIN_UNUSED):
         return
-    reasons = [_reasons(health.unused_reasons)] if health.unused_reasons else []
+    reasons = [reasons_in_words(health.unused_reasons)] if health.unused_reasons else []
     waiting = given.health.waiting(given.robot)
     if waiting >= MIN_UNUSED:
         reasons.append(f'{waiting} messages wait for later odometry')
@@ -279,7 +268,8 @@ def _stopped(given: RobotInput, kind: str, what: str) -> str:
         + (f': {given.topic(kind)} has no publisher' if is_gone else ''))
 
 
-def _reasons(counts: Counter[RejectionReason]) -> str:
+def reasons_in_words(counts: Counter[RejectionReason]) -> str:
+    """Return how often input was rejected for each reason, the most frequent first."""
     return ', '.join(f'{count} {reason.value}' for reason, count in counts.most_common())
 
 

@@ -40,6 +40,14 @@ class HealthConsumer(Consumer, Protocol):
         """Return the number of messages of a robot that have been used."""
 
 
+#: Minimum number of messages, and minimum time [ns], for which all must be rejected: one bad
+#: message is no fault, and two reports are a second apart.
+MIN_REJECTED = 3
+MIN_REJECTED_TIME = NS
+#: Reasons for which input that is sent again is rejected, as intended.
+SENT_AGAIN = {RejectionReason.DUPLICATE, RejectionReason.BEFORE_CHECKPOINT}
+
+
 class LargeScan(NamedTuple):
     """A scan that was rejected by its size."""
 
@@ -76,6 +84,17 @@ class TopicFlow:
         if not self.rejected_in_a_row:
             self.rejected_since = received or 0
         self.rejected_in_a_row[reason] += 1
+
+    def are_all_rejected(self, now: int) -> bool:
+        """Return whether all messages are rejected, but for scans that are too large."""
+        return (
+            self.rejected_in_a_row.total() >= MIN_REJECTED
+            and now - self.rejected_since >= MIN_REJECTED_TIME
+            and not self.rejected_in_a_row.keys() <= {RejectionReason.TOO_LARGE})
+
+    def is_sent_again(self) -> bool:
+        """Return whether the rejected messages are such as were used before, as intended."""
+        return self.rejected_in_a_row.keys() <= SENT_AGAIN
 
     def usual_gap(self) -> int:
         """Return the median gap between messages [ns], 0 if unknown."""

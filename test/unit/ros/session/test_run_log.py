@@ -45,6 +45,24 @@ def test_a_meeting_in_the_order_of_its_events():
         'r2 joined map, by the observations at step 0']
 
 
+def test_input_that_is_rejected_altogether_has_one_line_and_one_when_that_is_over():
+    run = EstimatorSession(run_settings('r1'), None)
+    lines = []
+    for ms in range(0, 6000, 100):
+        run.receive(raw_record(odometry('r1', ms, (0.001 * ms, 0.0, 0.0))))
+        message = raw_record(scan('r1', ms, [(1, (5.0, 1.0))]))
+        is_broken = 1000 <= ms < 4000
+        run.receive(replace(message, raw=b'') if is_broken else message)
+        list(run.take())
+        run.log.check(ms * MS)
+        lines += [text for text in texts(run, 'warn', 'info') if 'r1/landmarks' in text]
+
+    # After a second.
+    assert lines == [
+        'all messages on r1/landmarks are rejected: 11 bad_message',
+        'messages on r1/landmarks are accepted again']
+
+
 def test_a_robot_that_joins_later_names_the_shared_landmarks():
     records = [
         record for record in meeting(10)
