@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.records import NO_ID
+from fej_slam_ros.core.records import NO_ID, NS
 from fej_slam_ros.datasets.file_checks import (
-    errors_name, require_finite, require_folder, require_landmark_ids)
+    errors_name, LAST_SECOND, require_finite, require_folder, require_landmark_ids)
 from fej_slam_ros.datasets.matlab import required_matrices
 from fej_slam_ros.errors import UserError
 
@@ -27,8 +27,9 @@ Integers = NDArray[np.int64]
 MS = 1_000_000
 #: Tolerance for matching a detection with the file of IDs, whose values have 5 digits [m, rad].
 MATCH_TOLERANCE = 2e-5
-#: Maximum steering angle of the front wheels [rad].
-MAX_STEERING = 1.0
+#: Maximum steering angle of the front wheels [rad], speed [m/s], range [m] and bearing [rad].
+MAX_STEERING, MAX_SPEED = 1.0, 100.0
+MAX_RANGE, MAX_BEARING = 1000.0, 7.0
 WHEEL_VARIABLES = ('time', 'speed', 'steering')
 FIX_VARIABLES = ('timeGps', 'Lo_m', 'La_m')
 SCAN_COLUMNS = ('scan', 't_ms')
@@ -148,6 +149,8 @@ def wheels(time: Array, speed: Array, steering: Array) -> Wheels:
     """Return rows of times [ms], speeds [m/s] and steering angles [rad], checked."""
     if (np.abs(steering) > MAX_STEERING).any():
         raise UserError(f'the steering exceeds {MAX_STEERING:g} rad')
+    if (np.abs(speed) > MAX_SPEED).any():
+        raise UserError(f'the speed exceeds {MAX_SPEED:g} m/s')
     return Wheels(increasing_stamps(time), speed, steering)
 
 
@@ -156,16 +159,20 @@ def fixes(time: Array, east: Array, north: Array) -> Fixes:
     return Fixes(increasing_stamps(time), np.column_stack([east, north]))
 
 
-def require_positive(ranges: Array) -> None:
-    """Raise a `UserError` if a range is not positive."""
+def require_possible(ranges: Array, bearings: Array) -> None:
+    """Raise a `UserError` if a range is not positive, or a value is too large."""
     if not (ranges > 0.0).all():
         raise UserError('a range is not positive')
+    if (ranges > MAX_RANGE).any() or (np.abs(bearings) > MAX_BEARING).any():
+        raise UserError(f'a range exceeds {MAX_RANGE:g} m or a bearing {MAX_BEARING:g} rad')
 
 
 def increasing_stamps(ms: Array) -> Integers:
     """Return stamps [ns], which must increase, from times [ms]."""
     if not len(ms):
         raise UserError('it has no rows')
+    if (np.abs(ms) > LAST_SECOND * NS / MS).any():
+        raise UserError(f'a time is after {LAST_SECOND} s')
     stamps = np.rint(ms * MS).astype(np.int64)
     if not (np.diff(stamps) > 0).all() or stamps[0] < 0:
         raise UserError('its times do not increase')
@@ -194,7 +201,7 @@ def _trees(times: Path, detections: Path) -> TreeScans:
             raise UserError(f'the scans do not go up from 0 to {len(scans) - 1}')
         if (np.rint(time * MS) != stamps[scan_of.astype(int)]).any():
             raise UserError(f'a scan has another stamp than in {times.name}')
-        require_positive(ranges)
+        require_possible(ranges, bearings)
     starts = np.searchsorted(scan_of, np.arange(len(scans) + 1))
     return TreeScans(stamps, starts, ranges, bearings, np.full(len(ranges), NO_ID))
 

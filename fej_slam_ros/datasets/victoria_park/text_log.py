@@ -16,7 +16,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.datasets.file_checks import errors_name, require_finite
 from fej_slam_ros.datasets.victoria_park.raw_log import (
-    fixes, increasing_stamps, RawLog, require_positive, TreeScans, wheels)
+    fixes, increasing_stamps, RawLog, require_possible, TreeScans, wheels)
 from fej_slam_ros.errors import UserError
 
 WHEELS, TREES, FIXES = 'inputs.dat', 'measurements.dat', 'gps.dat'
@@ -35,7 +35,7 @@ def read(folder: Path) -> RawLog:
         of_wheels = wheels(*_columns(folder / WHEELS, 3))
     with errors_name(folder / TREES):
         time, ranges, bearings, _ = _columns(folder / TREES, 4)
-        require_positive(ranges)
+        require_possible(ranges, bearings)
         starts = np.flatnonzero(np.diff(time, prepend=-np.inf))
         trees = TreeScans(
             increasing_stamps(time[starts]), np.append(starts, len(time)), ranges, bearings,

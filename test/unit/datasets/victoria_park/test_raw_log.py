@@ -69,6 +69,8 @@ def test_a_part_of_the_log_has_odometry_over_all_its_scans(raw_park):
     ({'speed': np.zeros(480)}, 'aa3_dr.mat', 'time, speed, steering are not of one length'),
     ({'speed': np.full(481, np.nan)}, 'aa3_dr.mat', 'a value is not finite'),
     ({'steering': np.full(481, 1.5)}, 'aa3_dr.mat', 'the steering exceeds 1 rad'),
+    ({'speed': np.full(481, 1e200)}, 'aa3_dr.mat', 'the speed exceeds 100 m/s'),
+    ({'time': np.append(np.arange(480.0), 1e300)}, 'aa3_dr.mat', 'a time is after 2147483647 s'),
     ({'speed': np.zeros((481, 2))}, 'aa3_dr.mat', 'speed is not a matrix of 1 columns'),
     ({'Lo_m': np.full(61, np.inf)}, 'aa3_gpsx.mat', 'a value is not finite'),
     ({'La_m': np.zeros(60)}, 'aa3_gpsx.mat', 'timeGps, Lo_m, La_m are not of one length'),
@@ -81,6 +83,8 @@ def test_a_part_of_the_log_has_odometry_over_all_its_scans(raw_park):
     ({'detections': [(61, 1000, 1, 1, 1)]}, 'detections.csv', 'do not go up from 0 to 60'),
     ({'detections': [(1, 1000, 1, 1, 1)]}, 'detections.csv', 'another stamp than in scan_time'),
     ({'detections': [(0, 1000, 0, 1, 1)]}, 'detections.csv', 'a range is not positive'),
+    ({'detections': [(0, 1000, 1, 1e300, 1)]}, 'detections.csv',
+     'a range exceeds 1000 m or a bearing 7 rad'),
     ({'detections': [(0, 1000, 'nan', 1, 1)]}, 'detections.csv', 'a value is not finite'),
 ])
 def test_a_damaged_file_is_rejected_with_the_reason(raw_park, changes, file, reason):
