@@ -141,7 +141,7 @@ class FrameGroups:
         if robot == self._settings.anchor:
             self.is_initialized = True
 
-    def has_reference(self) -> bool:
+    def _has_reference(self) -> bool:
         """Return whether landmarks, robots or start poses in ``map`` fix it besides the anchor."""
         others = self.team.robots.keys() - {self._settings.anchor}
         return self._has_joined_robots or bool(others or self.team.state.landmarks) or any(
@@ -149,7 +149,7 @@ class FrameGroups:
 
     def is_map_given(self) -> bool:
         """Return whether ``map`` is a place, not only the start of its anchor."""
-        return any(self._settings.anchor_pose) or self.has_reference()
+        return any(self._settings.anchor_pose) or self._has_reference()
 
     def begin(self, robot: RobotSettings, stamp: int) -> None:
         """
@@ -161,7 +161,7 @@ class FrameGroups:
         """
         initial = self._initial_pose(robot)
         if initial is not None and is_too_uncertain(np.diag(np.square(initial[1]))) and (
-                self.has_reference() if robot.name == self._settings.anchor
+                self._has_reference() if robot.name == self._settings.anchor
                 else self.is_initialized):
             self.void_start(robot.name, 'its start pose is too uncertain to linearise')
             initial = None

@@ -52,7 +52,7 @@ class RecordedTruth:
         self._resumed_at: dict[str, int] = {}
 
     def add(self, record: TruePose | TrueLandmarks) -> RejectionReason | None:
-        """Add a record; return the reason if it is rejected, as a second pose at one stamp."""
+        """Add a record; return the reason if it is rejected: another pose at the same stamp."""
         if isinstance(record, TrueLandmarks):
             self.landmarks.update(record.positions)
             return None
@@ -60,10 +60,9 @@ class RecordedTruth:
         index = bisect_left(poses, (record.stamp,))
         if index < len(poses) and poses[index][0] == record.stamp:
             is_equal = np.array_equal(poses[index][1], record.pose)
-            return RejectionReason.DUPLICATE if is_equal else RejectionReason.CONFLICTING
-        if record.stamp < self._resumed_at.get(record.robot, record.stamp):
-            return RejectionReason.DUPLICATE
-        poses.insert(index, (record.stamp, record.pose))
+            return None if is_equal else RejectionReason.CONFLICTING
+        if record.stamp >= self._resumed_at.get(record.robot, record.stamp):
+            poses.insert(index, (record.stamp, record.pose))
         return None
 
     def resume(self) -> None:

@@ -106,16 +106,18 @@ class TeamJoiner:
         return used
 
     def _restart_uncertain(self, stamp: int) -> None:
-        """Restart robots whose poses are too uncertain to linearise after step 0."""
+        """Restart robots at start poses that step 0 leaves too uncertain to linearise."""
         team = self._groups.team
         anchor = team.robots.get(self._settings.anchor)
         # The error of the anchor turns the whole map.
         P_map = np.zeros((3, 3)) if anchor is None else team.state.marginal([anchor])
         for name, robot in [*team.robots.items()]:
-            if is_too_uncertain(team.state.marginal([robot]) - P_map):
+            settings = self._groups.robots[name]
+            if settings.start_pose is not None and is_too_uncertain(
+                    team.state.marginal([robot]) - P_map):
                 reason = 'its pose is too uncertain to linearise'
                 self._statistics.count_restart(name, reason)
-                self._groups.restart(self._groups.robots[name], stamp, reason)
+                self._groups.restart(settings, stamp, reason)
 
     def add_rendezvous_points(
         self, scan: RobotScan, is_suspected: Callable[[str], bool]

@@ -86,7 +86,7 @@ def valid_settings(draw):
         publish_tf=draw(st.booleans()),
         map_frame=draw(st.sampled_from(['map', 'world'])),
         tf_topics=draw(st.sampled_from(['shared', 'robot', 'both'])),
-        transform_tolerance=draw(NOT_NEGATIVE),
+        transform_tolerance=draw(st.floats(0.0, 3600.0)),
         output=draw(LINES),
         checkpoint=draw(LINES.filter(lambda line: line not in ('', prior))),
         autosave_period=draw(NOT_NEGATIVE),

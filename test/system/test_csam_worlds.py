@@ -8,6 +8,7 @@ import pytest
 
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.map_merging import alignment_window, join_maps
+from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.experiments.andersson import experiment
 from helpers.csam import in_another_frame, rendezvous_of
@@ -52,7 +53,7 @@ def test_the_joint_map_does_not_depend_on_the_frames(reach):
         frame = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi])
         p, q = solved.maps[0], in_another_frame(solved.maps[1], frame)
 
-        (joint,), failed, _ = join_maps([p, q], solved.measurements)
+        (joint,), failed, _ = join_maps([*map(JointMap.of, (p, q))], solved.measurements)
 
         assert failed == []
         assert joint.landmarks == solved.joint.landmarks

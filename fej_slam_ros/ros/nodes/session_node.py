@@ -13,7 +13,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from itertools import count, islice
 from pathlib import Path
-from time import monotonic, perf_counter
+from time import perf_counter
 from typing import Any
 
 from rclpy.clock import Clock
@@ -27,6 +27,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
+from fej_slam_ros.ros.nodes.clock_watch import ClockWatch
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
@@ -42,8 +43,8 @@ from fej_slam_ros.ros.session.session import Session
 
 #: Period of /diagnostics [s], as REP-107 recommends.
 DIAGNOSTICS_PERIOD = 1.0
-#: Time of the machine [s] for which simulated time may stand still.
-CLOCK_PATIENCE = 5.0
+#: Time [ns] by which a clock that goes back is still the same one.
+MAX_CLOCK_JITTER = NS // 10
 
 
 class SessionNode(SettingsNode):
@@ -74,8 +75,7 @@ class SessionNode(SettingsNode):
         self.is_urgent: Callable[[], bool] = lambda: False
         self.check_time: Callable[[], None] = lambda: None
         self._last_input: int | None = None
-        # Simulated time [ns], and when it changed on the clock of the machine [s].
-        self._clock_time, self._clock_moved_at = 0, monotonic()
+        self._clock_watch = ClockWatch(self)
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
         self._saver = RunSaver(self.get_logger(), self._files, lambda: self._session)
@@ -335,8 +335,9 @@ class SessionNode(SettingsNode):
         now = self._now()
         if now is None or self._last_input is None:
             return False
-        # The input has also ended if the clock went back.
-        return abs(now - self._last_input) > self._settings.estimation.stale_after * 1e9
+        # The input has also ended if the clock went back, not only by a hair.
+        stale_after = self._settings.estimation.stale_after * 1e9
+        return not -MAX_CLOCK_JITTER <= now - self._last_input <= stale_after
 
     def _publish_next_map(self) -> bool:
         """Publish one pending map or path; return whether there was any, and time for it."""
@@ -369,24 +370,11 @@ class SessionNode(SettingsNode):
         diagnostics.other_publishers = others
         at_rest = self._last_input is None and not self.is_overdue()
         now = self._now()
-        diagnostics.clock_fault = self._clock_fault(now)
+        diagnostics.clock_fault = self._clock_watch.fault(now)
         self._topics.publish([diagnostics.report(now or 0, at_rest)])
         if self.is_active:
             self._session.check(now)
             self.write_log()
-
-    def _clock_fault(self, now: int | None) -> str:
-        """Return why simulated time does not advance, '' if it does."""
-        if not self.get_parameter('use_sim_time').value:
-            return ''
-        if now is None:
-            return 'waiting for /clock: use_sim_time is set'
-        if now != self._clock_time:
-            self._clock_time, self._clock_moved_at = now, monotonic()
-        stands = monotonic() - self._clock_moved_at
-        if stands < CLOCK_PATIENCE:
-            return ''
-        return f'simulated time has stood still for {stands:.0f} s'
 
     def _reset(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         with self.timed_callback():

@@ -14,11 +14,11 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.ros.session.input_faults import OBSERVATION_TOPICS, reasons_in_words
 from fej_slam_ros.ros.session.input_health import TopicFlow
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import ConsumerT
+from fej_slam_ros.ros.session.rejected_topics import RejectedTopics
 
 #: Maximum number of lines that wait to be written; a run without a node writes none.
 MAX_LINES = 1000
@@ -65,7 +65,7 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._stale: dict[str, int] = {}
         self._paused_at: int | None = None  # time of the newest odometry [ns]
         self._has_jumped = False
-        self._rejected_topics: set[str] = set()  # of which all messages are rejected
+        self._rejected_topics = RejectedTopics()
         self._missing: Sequence[str] = ()
         self._reminders = 0
 
@@ -96,7 +96,8 @@ class RunLog(ABC, Generic[ConsumerT]):
             for robot, flow in flows.items():
                 # Robots that all stop at once are no fault of one of them.
                 self._note_stale(robot, flow, max(times))
-        self._note_rejected(now)
+        self._lines.extend(self._rejected_topics.lines(
+            health, self._consumer.robots, now, self.topic_name))
         self._note_jump()
 
     def remind(self, faults: Mapping[str, str] | None) -> None:
@@ -153,22 +154,6 @@ class RunLog(ABC, Generic[ConsumerT]):
         elif robot in self._stale and not is_stale:
             gap = (flow.last or 0) - self._stale.pop(robot)
             self.add(LogSeverity.INFO, f'{robot} is back: odometry after {gap / NS:.1f} s')
-
-    def _note_rejected(self, now: int) -> None:
-        for robot in self._consumer.robots:
-            for kind in ('odom', *OBSERVATION_TOPICS):
-                flow, topic = self._inputs.health.flow(robot, kind), f'{robot}/{kind}'
-                is_rejected = flow.are_all_rejected(now) and not flow.is_sent_again()
-                if is_rejected and topic not in self._rejected_topics:
-                    self._rejected_topics.add(topic)
-                    self.add(LogSeverity.WARN, (
-                        f'all messages on {self.topic_name(topic)} are rejected:'
-                        f' {reasons_in_words(flow.rejected_in_a_row)}'))
-                elif topic in self._rejected_topics and not flow.rejected_in_a_row:
-                    self._rejected_topics.remove(topic)
-                    self.add(
-                        LogSeverity.INFO,
-                        f'messages on {self.topic_name(topic)} are accepted again')
 
     def _note_rejected_priors(self) -> None:
         rejected = self._inputs.health.rejected_priors

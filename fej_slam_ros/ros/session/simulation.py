@@ -21,8 +21,8 @@ from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
 SIMULATED_NUMBER = Kind('a number from 1e-3 to 1e6', float, allowed=lambda x: 1e-3 <= x <= 1e6)
-COUNT = numbers('an integer', Range(1, 1e5), element=int)
-STEP_COUNT = numbers('an integer', Range(2, 1e5), element=int)
+COUNT = numbers('an integer', Range(1, 100_000), element=int)
+STEP_COUNT = numbers('an integer', Range(2, 100_000), element=int)
 THREE_SIGMAS = Kind('three numbers from 1e-6 to 1e6', float, (3,), lambda x: 1e-6 <= x <= 1e6)
 TWO_SIGMAS = replace(THREE_SIGMAS, expected='two numbers from 1e-6 to 1e6', shape=(2,))
 LENGTHS = Kind('two numbers from 1e-3 to 1e6', float, (2,), SIMULATED_NUMBER.allowed)
