@@ -121,7 +121,7 @@ class EstimatorNode(SessionNode):
             robots = ', '.join(self._session.estimator.robots)
             self.get_logger().warning(
                 f"{INITIALPOSE} is not used: set the parameter 'initialpose_robot' to its robot,"
-                f' one of {robots}')
+                f' one of {robots}', throttle_duration_sec=10.0)
 
     def _publish(self, publications: Iterable[Publication]) -> int:
         """Publish messages, with the latency of poses; return their number."""

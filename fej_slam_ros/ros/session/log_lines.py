@@ -2,8 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Lines of the log of a run."""
 
+from collections import Counter
+from collections.abc import Iterator
 from enum import Enum
 from typing import NamedTuple
+
+#: Number of times that a line is repeated in full.
+MAX_REPEATS = 5
 
 
 class LogSeverity(Enum):
@@ -20,3 +25,19 @@ class LogLine(NamedTuple):
 
     severity: LogSeverity  #: its severity
     text: str  #: sentence for users
+
+
+class RepeatableLines:
+    """Lines that a sender may cause as often as it likes."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+
+    def lines(self, severity: LogSeverity, text: str) -> Iterator[LogLine]:
+        """Yield the line the first few times, then the tenth, the hundredth and so on."""
+        self._counts[text] += 1
+        count = self._counts[text]
+        if count <= MAX_REPEATS:
+            yield LogLine(severity, text)
+        elif str(count).strip('0') == '1':
+            yield LogLine(severity, f'{text} ({count} times)')

@@ -16,7 +16,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.session.input_health import TopicFlow
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
+from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity, RepeatableLines
 from fej_slam_ros.ros.session.outputs import ConsumerT
 from fej_slam_ros.ros.session.rejected_topics import RejectedTopics
 
@@ -66,6 +66,7 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._paused_at: int | None = None  # time of the newest odometry [ns]
         self._has_jumped = False
         self._rejected_topics = RejectedTopics()
+        self._repeatable = RepeatableLines()
         self._missing: Sequence[str] = ()
         self._reminders = 0
 
@@ -90,7 +91,9 @@ class RunLog(ABC, Generic[ConsumerT]):
         """Add the lines of input that stopped or is back, and of a jump, at a time [ns]."""
         health = self._inputs.health
         flows = {robot: health.flow(robot, 'odom') for robot in self._consumer.robots}
-        times = [flow.last for flow in flows.values() if flow.last is not None]
+        # Odometry of later times is from before a clock that went back.
+        times = [
+            flow.last for flow in flows.values() if flow.last is not None and flow.last <= now]
         if times:
             self._note_pause(now, max(times), flows)
             for robot, flow in flows.items():
@@ -159,7 +162,8 @@ class RunLog(ABC, Generic[ConsumerT]):
         rejected = self._inputs.health.rejected_priors
         while rejected:
             robot, reason = rejected.popleft()
-            self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reason.value}')
+            self._lines.extend(self._repeatable.lines(
+                LogSeverity.WARN, f'set_pose of {robot} rejected: {reason.value}'))
 
     def _note_priors(self, robot: str, until: int) -> None:
         """Add the lines of the poses that were given to a robot up to a stamp [ns]."""
@@ -174,9 +178,10 @@ class RunLog(ABC, Generic[ConsumerT]):
                 if (rejected.robot, rejected.stamp) == (robot, given)
                 and rejected.reason in PRIOR_REASONS]
             if reasons:
-                self.add(LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}')
+                line = LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}'
             else:
-                self.add(LogSeverity.INFO, f'set_pose of {robot} accepted')
+                line = LogSeverity.INFO, f'set_pose of {robot} accepted'
+            self._lines.extend(self._repeatable.lines(*line))
 
     def _note_first_messages(self) -> None:
         first = self._inputs.health.first_messages

@@ -12,6 +12,7 @@ from fej_slam_ros.core.csam.team_solution import solve, TeamMap
 from fej_slam_ros.core.records import PosePrior, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.log_lines import LogSeverity, RepeatableLines
 from fej_slam_ros.ros.session.run_log import MAX_REMINDERS, REMIND_EVERY
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.records import MS, odometry, robot_scan, scan
@@ -43,6 +44,26 @@ def test_a_meeting_in_the_order_of_its_events():
         'r1 joined map, by its anchor_pose',
         'step 0 at 0.100 s: the anchor r1 observes its first landmark, in map: r1, r2',
         'r2 joined map, by the observations at step 0']
+
+
+def test_a_sender_cannot_fill_the_log():
+    lines = RepeatableLines()
+
+    texts = [line.text for _ in range(1000) for line in lines.lines(LogSeverity.WARN, 'again')]
+
+    assert texts == [*['again'] * 5, *(f'again ({count} times)' for count in (10, 100, 1000))]
+
+
+def test_a_clock_that_goes_back_leaves_no_robot_that_sends_stale():
+    run = EstimatorSession(run_settings('r1', 'r2', on_time_jump='refuse', stale_after=1.0), None)
+    for robot in ('r1', 'r2'):
+        run.receive(raw_record(odometry(robot, 60_000, (0.0, 0.0, 0.0))))
+    # Only r1 sends again.
+    for ms in range(1000, 9000, 500):
+        run.receive(raw_record(odometry('r1', ms, (0.001 * ms, 0.0, 0.0))))
+        run.log.check(ms * MS)
+
+    assert not any('r1 is stale' in text for text in texts(run))
 
 
 def test_input_that_is_rejected_altogether_has_one_line_and_one_when_that_is_over():
