@@ -146,7 +146,7 @@ class SmootherNode(SessionNode):
             if not is_noted and perf_counter() - begin > FINAL_NOTE_AFTER:
                 is_noted = True
                 self.get_logger().info(
-                    'computing the final solution; SIGINT or SIGTERM keeps the one before')
+                    'computing the final solution; a second signal keeps the one before')
             sleep(FINAL_CHECK_PERIOD)
         self.get_logger().warning(
             'no final solution: the poses since the last one are those of the filter')
