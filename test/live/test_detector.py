@@ -11,6 +11,7 @@ from helpers.optional import optional
 from helpers.ros import run_verb, write_parameters
 
 live_helpers = optional('helpers.live')
+process = optional('fej_slam_ros.ros.nodes.ros_process')
 
 pytestmark = pytest.mark.ros
 
@@ -44,7 +45,7 @@ def test_a_sensor_that_falls_silent_is_a_warning(tmp_path):
             before = len(reports)
             domain.until(lambda: len(reports) > before)  # noqa: B023
 
-        domain.until(lambda: 'no usable scans for' in reports[-1].status[0].message)
+        domain.until(lambda: 'its scans have stopped' in reports[-1].status[0].message)
 
 
 def test_reports_name_the_namespace_and_a_missing_clock():
@@ -57,6 +58,22 @@ def test_reports_name_the_namespace_and_a_missing_clock():
     status, = reports[0].status
     assert status.name == 'fleet/detector: r1'
     assert status.message == 'waiting for /clock: use_sim_time is set'
+
+
+def test_an_incompatible_publisher_is_named_with_the_parameter_that_resolves_it():
+    with live_helpers.Domain() as domain:
+        domain.start(
+            'detector', '--ros-args', '-p', 'robots:=[r1]', '-p',
+            'qos_overrides./r1/scan.subscription.reliability:=reliable')
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+        domain.until(lambda: reports)
+        domain.node.create_publisher(
+            live_helpers.message_class('sensor_msgs/msg/LaserScan'), '/r1/scan',
+            process.best_effort(1))
+
+        domain.until(lambda: (
+            'set qos_overrides./r1/scan.subscription.reliability: best_effort'
+            in reports[-1].status[0].message))
 
 
 def test_live_landmarks_are_those_of_detect(tmp_path):

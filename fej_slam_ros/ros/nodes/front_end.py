@@ -15,7 +15,7 @@ from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
-from fej_slam_ros.ros.nodes.qos import overridable
+from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.nodes.ros_process import (
     check_topic_names, descriptor, is_installed, message_class, ParameterNode, ros,
     wait_for_arrival)
@@ -77,6 +77,7 @@ class FrontEndNode(ParameterNode):
         self._warnings: dict[str, tuple[str, int]] = {}
         # The number of scans or messages of each robot, and of reports since it changed.
         self._used: dict[str, tuple[int, int]] = {}
+        self._qos = QosWatch(self)
         self.received = 0
 
     def start(
@@ -121,7 +122,8 @@ class FrontEndNode(ParameterNode):
         prepare(type_name)
         self.create_subscription(
             message_class(type_name), name, partial(self._receive, topic, type_name),
-            input_qos(topic), raw=True, qos_overriding_options=overridable())
+            input_qos(topic), raw=True, event_callbacks=self._qos.subscription_events(name),
+            qos_overriding_options=overridable())
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         received = self.get_clock().now().nanoseconds
@@ -136,7 +138,8 @@ class FrontEndNode(ParameterNode):
         now = self.get_clock().now().nanoseconds
         missing = '' if now else 'waiting for /clock: use_sim_time is set'
         counts = [
-            (robot, missing or warning or self._silence(robot, values), values)
+            (robot, missing or self._incompatible(robot) or warning
+             or self._silence(robot, values), values)
             for robot, warning, values in self._front_end.counts()]
         self._publish([report(self.get_fully_qualified_name().lstrip('/'), counts, now)])
         for robot, warning, _ in counts:
@@ -146,16 +149,22 @@ class FrontEndNode(ParameterNode):
             if warning and reports == PATIENCE:
                 self.get_logger().warning(f'{robot}: {warning}')
 
+    def _incompatible(self, robot: str) -> str:
+        """Return an incompatible quality of service of a robot's topics, '' if there is none."""
+        topics = {
+            self.resolve_topic_name(topic) for topic in self._front_end.topics
+            if topic.startswith(f'{robot}/')}
+        return next((str(qos) for qos in self._qos.incompatible() if qos.topic in topics), '')
 
     def _silence(self, robot: str, values: Mapping[str, int]) -> str:
-        """Return since when no data of a robot could be used, '' if they came lately."""
+        """Return that no data of a robot can be used any more, '' if some came lately."""
         kind = 'scans' if 'scans' in values else 'messages'
         used = values.get(kind, 0)
         before, reports = self._used.get(robot, (0, 0))
         reports = reports + 1 if used == before else 0
         self._used[robot] = used, reports
         is_silent = used > 0 and reports >= PATIENCE
-        return f'no usable {kind} for {REPORT_PERIOD * reports:.0f} s' if is_silent else ''
+        return f'its {kind} have stopped, or none is usable any more' if is_silent else ''
 
 
 def check_installed(type_names: Iterable[str]) -> None:
