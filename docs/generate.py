@@ -71,7 +71,9 @@ OUTPUT_MEANINGS = {
                       ' poses](ros.md#settled-and-predicted-poses)',
     'odometry/filtered': 'the predicted pose with the velocity of the odometry message',
     'path': 'trajectory of at most 1,000 poses, every `map_period`',
-    'map_landmarks': 'map of a robot that has not joined, frame `<robot>/map`, every `map_period`',
+    'map_landmarks':
+        'map of a robot that has not joined, frame `<robot>/map`, every `map_period`; empty, once,'
+        ' when it has',
     'base_node': 'pose of the frame of the robot in the common frame, after each solution',
     'relative_pose/<other>': 'for each pair in `relative_poses`: pose of the other robot in'
                              ' `<robot>/base_link`; common uncertainty cancels',

@@ -279,6 +279,7 @@ class SessionNode(SettingsNode):
         # A new run begins where the robots are.
         self._topics.first_messages.close()
         self._topics.publish(ended.close())
+        self._topics.publish(ended.outputs.cleared_maps())
         self.write_log()
         ended.write_files()
         self._files.end(REQUEST_WAIT)

@@ -3,7 +3,7 @@
 """Estimates to messages on topics, for live topics and bags."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count
 from typing import Generic, TypeVar
@@ -138,6 +138,8 @@ class Outputs(ABC, Generic[ConsumerT]):
         self.unused_variance = settings.unused_variance
         self.transform_tolerance = settings.transform_tolerance
         self._tf_topics = settings.tf_topics if publishes_tf else ''
+        # Frames of which a map was published.
+        self._mapped: set[str] = set()
 
     @property
     def topics(self) -> dict[str, str]:
@@ -163,10 +165,11 @@ class Outputs(ABC, Generic[ConsumerT]):
         if not self._newest():
             return
         stamp, maps = self._stamp(), [*self._maps()]
-        topics = {MAP: LANDMARKS_TOPIC} | {
-            own_frame(name): f'{name}/map_landmarks' for name in self._consumer.robots}
+        yield from self.cleared_maps({map_estimate.frame for map_estimate in maps})
+        topics = self._map_topics()
         for map_estimate in maps:
             if map_estimate.frame in topics:
+                self._mapped.add(map_estimate.frame)
                 yield topics[map_estimate.frame], outgoing.landmarks(
                     stamp, self._frames.published(map_estimate.frame), map_estimate.ids,
                     map_estimate.points, map_estimate.P)
@@ -178,6 +181,21 @@ class Outputs(ABC, Generic[ConsumerT]):
                  for index, name in enumerate(self._consumer.robots) if name in drawn],
                 [(map_estimate.frame, map_estimate.points, map_estimate.P)
                  for map_estimate in maps], self._frames.map_frame)
+
+    def cleared_maps(self, kept: Collection[str] = ()) -> Iterator[Publication]:
+        """Yield an empty map for each published one that is no longer kept, by its frame."""
+        # Late subscribers would receive the last one.
+        topics = self._map_topics() if self._newest() else {}
+        for frame in sorted(self._mapped.difference(kept) & topics.keys()):
+            yield topics[frame], outgoing.landmarks(
+                self._stamp(), self._frames.published(frame), [], np.empty((0, 2)),
+                np.empty((0, 2, 2)))
+        self._mapped.intersection_update(kept)
+
+    def _map_topics(self) -> dict[str, str]:
+        """Return the topic of the map in each frame."""
+        return {MAP: LANDMARKS_TOPIC} | {
+            own_frame(name): f'{name}/map_landmarks' for name in self._consumer.robots}
 
     def _transforms(
         self, estimates: Sequence[PoseEstimate], odometry: Mapping[str, Array],

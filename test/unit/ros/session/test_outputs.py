@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.outputs import MAX_PATH, rejections, ThinnedPath
 from helpers.records import MS, odometry, scan
@@ -189,6 +190,26 @@ def test_a_robot_that_has_not_joined_publishes_its_own_map():
 
     own = overview(run)['r2/map_landmarks']
     assert (own.header.frame_id, ids_of(own)) == ('r2/map', [7])
+
+
+def test_the_own_map_of_a_robot_that_has_joined_is_emptied_once_for_late_subscribers():
+    run = EstimatorSession(run_settings(), None)
+
+    def send(*records):
+        for record in records:
+            run.receive(raw_record(record))
+        list(run.release())
+
+    send(odometry('r1', 0), odometry('r2', 0), scan('r2', 100, [(7, (1.0, 0.0))]),
+         odometry('r1', 200), odometry('r2', 200), odometry('r1', 300), odometry('r2', 300))
+    assert ids_of(overview(run)['r2/map_landmarks']) == [7]
+
+    send(PosePrior('r2', 350 * MS, np.zeros(3), 1e-4 * np.eye(3)), odometry('r1', 400),
+         odometry('r2', 400), odometry('r1', 500), odometry('r2', 500))
+    own = overview(run)['r2/map_landmarks']
+
+    assert (own.header.frame_id, own.width, stamp_of(own)) == ('r2/map', 0, 500 * MS)
+    assert 'r2/map_landmarks' not in overview(run)
 
 
 def test_only_large_messages_without_subscribers_are_left_out():
