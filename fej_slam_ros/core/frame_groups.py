@@ -145,7 +145,8 @@ class FrameGroups:
         """Return whether landmarks, robots or start poses in ``map`` fix it besides the anchor."""
         others = self.team.robots.keys() - {self._settings.anchor}
         return self._has_joined_robots or bool(others or self.team.state.landmarks) or any(
-            robot.start_pose is not None for robot in self._settings.robots)
+            robot.start_pose is not None and not is_too_uncertain(
+                np.diag(np.square(robot.start_sigma))) for robot in self._settings.robots)
 
     def is_map_given(self) -> bool:
         """Return whether ``map`` is a place, not only the start of its anchor."""

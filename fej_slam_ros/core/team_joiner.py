@@ -36,6 +36,8 @@ from fej_slam_ros.core.settings import Settings
 #: attempts to join groups that share so many variables; the cost of one grows with their cube.
 COMPARISON_PERIOD = NS
 VARIABLES_OF_PERIOD = 200
+#: Longest time between two attempts [ns].
+MAX_PAUSE = 60 * NS
 
 
 class TeamJoiner:
@@ -65,12 +67,14 @@ class TeamJoiner:
         # When the landmarks without ID of two groups were compared [ns], and why they do not join,
         # by the owners of the groups.
         self._compared: dict[tuple[str, str], tuple[int, str]] = {}
-        # When joining them is attempted again [ns], and why it failed, likewise.
-        self._postponed: dict[tuple[str, str], tuple[int, str]] = {}
+        # When joining them is attempted again [ns], how many landmarks they shared when it failed,
+        # and why, likewise.
+        self._postponed: dict[tuple[str, str], tuple[int, int, str]] = {}
 
     def change_settings(self, settings: Settings) -> None:
         """Use other conditions of joining from now on."""
         self._settings, self._joiner = settings, _map_joiner(settings)
+        self._postponed.clear()
 
     def is_step_0(self, step: Step) -> bool:
         """Return whether the anchor observes its first landmark in a step."""
@@ -93,6 +97,7 @@ class TeamJoiner:
                 team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
                 START_COVARIANCES[self._settings.start_covariance], max(room, 0))
         except (InitialAlignmentError, EndedError):
+            self._restart_uncertain(step.stamp)
             return ()
         used: Collection[LandmarkKey] = ()
         if state is not None:
@@ -217,16 +222,17 @@ class TeamJoiner:
 
     def _join_by_shared(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group, but not again soon if that is expensive."""
-        names, newest = (group.owner, other.owner), _newest_stamp(other)
-        due, reason = self._postponed.get(names, (newest, ''))
-        if newest < due:
+        names, newest = (group.owner, other.owner), max(_newest_stamp(group), _newest_stamp(other))
+        shared = len(group.state.landmarks.keys() & other.state.landmarks.keys())
+        due, shared_then, reason = self._postponed.get(names, (newest, 0, ''))
+        # A robot that has restarted shares fewer.
+        if newest < due and shared >= shared_then:
             return JoinFailure(reason)
         failure = self._joiner.join(group.filter, other.filter)
         self._postponed.pop(names, None)
         if failure is not None and not failure.has_outliers():
-            shared = len(group.state.landmarks.keys() & other.state.landmarks.keys())
             pause = int(COMPARISON_PERIOD * (shared / VARIABLES_OF_PERIOD) ** 3)
-            self._postponed[names] = newest + pause, failure.reason
+            self._postponed[names] = newest + min(pause, MAX_PAUSE), shared, failure.reason
         return failure
 
     def _remove_outlying(self, state: JointState, landmark: Landmark) -> None:

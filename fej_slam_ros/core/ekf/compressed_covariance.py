@@ -28,12 +28,11 @@ from collections.abc import Iterable, Iterator, Sequence
 from copy import copy, deepcopy
 
 import numpy as np
-from scipy.linalg.blas import dtrsm
-from scipy.linalg.lapack import dpstrf
 
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
+from fej_slam_ros.core.ekf.whitening import pivoted_root, whiten
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.pieces import pause, PIECE_ELEMENTS, product, ranges
 
@@ -68,10 +67,10 @@ class CompressedCovariance:
         self._whole = whole
         self._members = members
         P = whole.matrix.at(members[:, None], members)
-        P_lA = whole.matrix.columns(members)[:whole.dimension]
+        cross = whole.matrix.columns(members)[:whole.dimension]
         #: C of all states from before the submap; as many columns as there are proxies, and zero
         #: columns for more
-        L, self._C = _whitened(P, P_lA, np.diag(P))
+        L, self._C, _ = whiten(P, cross, np.diag(P))
         # States of the core: members, proxies, new members.
         g = L.shape[1]
         self._core = Covariance()
@@ -127,7 +126,7 @@ class CompressedCovariance:
         cross = product(C_l, core.columns(self._proxies)[:k].T)
         C, P_l = self._C[:, :len(self._proxies)], P.at(states[:, None], states)
         rest = P_l - C_l @ C_l.T
-        L, C_added = _whitened(
+        L, C_added, _ = whiten(
             rest, P.columns(states)[:len(C)] - product(C, C_l.T), np.diag(P_l))
         g = L.shape[1]
         start = core.append(b + g)
@@ -256,7 +255,7 @@ class CompressedCovariance:
         """Return a root (g, p) of what was learnt about g, I - cov(g), for g^3 / 3 flops."""
         learnt = -self._minus_learnt()
         pause()
-        root, _ = _pivoted_root(learnt)
+        root, _ = pivoted_root(learnt)
         pause()
         return root
 
@@ -267,7 +266,7 @@ class CompressedCovariance:
         return minus_learnt
 
     def _many_blocks(self, indices: Indices, outside: Flags) -> Array:
-        """Return `blocks` of groups that are all outside or inside: P_BB(0) - P_BA Psi P_AB."""
+        """Return `blocks` of groups that are all outside, by P_BB, or inside."""
         k, d = indices.shape
         P, others = np.empty((k, d, d)), indices[outside]
         P[~outside] = self._core.blocks(self._core_index[indices[~outside]])
@@ -338,35 +337,6 @@ class CompressedCovariance:
         self._members = np.append(self._members, slot.indices)
         self._core_index = np.append(self._core_index, in_core.indices)
         return slot
-
-
-def _whitened(P: Array, cross: Array, scale: Array) -> tuple[Array, Array]:
-    """
-    Return L (a, g) with P = L L^T, and C (n, g) with cross = C L^T, for n g^2 flops.
-
-    Parameters
-    ----------
-    P : (a, a) array, a covariance of rank g within rounding
-    cross : (n, a) array, the covariance of other states with these
-    scale : (a,) array, variances to whose rounding elements of P are known
-
-    """
-    sigma = np.sqrt(np.where(scale > 0.0, scale, 1.0))
-    root, chosen = _pivoted_root(P / np.outer(sigma, sigma), len(P) * np.finfo(float).eps)
-    L: Array = sigma[:, None] * root
-    if not len(chosen):
-        return L, np.zeros((len(cross), 0), order='F')
-    # The chosen rows, in this order, are a triangle.
-    C: Array = dtrsm(1.0, L[chosen], cross[:, chosen], side=1, lower=1, trans_a=1)
-    return L, C
-
-
-def _pivoted_root(P: Array, tolerance: float = -1.0) -> tuple[Array, Indices]:
-    """Return a root (a, p) of a positive semidefinite P (a, a) of rank p, and its pivots (p,)."""
-    L, pivots, rank, _ = dpstrf(P, tol=tolerance, lower=1)
-    root = np.zeros((len(L), rank))
-    root[pivots - 1] = np.tril(L)[:, :rank]
-    return root, pivots[:rank] - 1
 
 
 #: The two forms of the joint covariance, with the same methods for the filter's steps.

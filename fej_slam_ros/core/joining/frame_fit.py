@@ -18,10 +18,9 @@ from fej_slam_ros.core.geometry import (
     Array, compose, Indices, inverse, perpendicular, poses_plus, rigid_fit, transform, wrap_all)
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
-#: The iteration ends with a step below this [m, rad], or after so many; where it converges, less
-#: than ten are needed.
+#: The iteration ends with a step below this [m, rad].
 FIT_TOLERANCE = 1e-10
-MAX_FIT_ITERATIONS = 20
+MAX_FIT_ITERATIONS = 50
 #: Points that are closer to each other than this, relative to their distance from the origin, are
 #: one place, which determines no heading.
 MIN_RELATIVE_SPREAD = 1e-6

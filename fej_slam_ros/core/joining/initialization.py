@@ -13,6 +13,7 @@ from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import Linearization, Points, Poses, transport_errors
 from fej_slam_ros.core.ekf.state import at_slot, JointState, Landmark, Robot, Variable
+from fej_slam_ros.core.ekf.whitening import whiten
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.joining.initial_alignment import (
     align, align_independently, closed_form, InitialAlignment, InitialScans)
@@ -49,12 +50,14 @@ def initialize(
     observed = [landmark for key, landmark in state.landmarks.items() if key in keys]
     rest = [landmark for key, landmark in state.landmarks.items() if key not in keys]
     prior = _estimates(state, robots, observed)
-    poses, points = closed_form(prior.poses, prior.points, scans)
-    observers = Counter(key for name in poses for key, _ in scans.get(name, ()))
-    new_poses = {name: x for name, x in poses.items() if name not in prior.poses}
-    shared = dict(islice((
-        (key, x) for key, x in points.items()
-        if observers[key] > 1 and key not in prior.points), max_new))
+    new_poses, shared = _determined(prior, scans)
+    if len(shared) > max_new:
+        # No pose may depend on landmarks that are not started.
+        usable = {*prior.points, *islice(shared, max_new)}
+        scans = {
+            name: [(key, observation) for key, observation in scan if key in usable]
+            for name, scan in scans.items()}
+        new_poses, shared = _determined(prior, scans)
     if not new_poses and not shared:
         return None
 
@@ -75,6 +78,16 @@ def initialize(
           for key, x in solved.points.items())]
     transport_errors(linearization, located, np.concatenate(x_prior))
     return located
+
+
+def _determined(prior: InitialAlignment, scans: InitialScans) -> tuple[Poses, Points]:
+    """Return first guesses of the new robots and of the new landmarks that several observe."""
+    poses, points = closed_form(prior.poses, prior.points, scans)
+    observers = Counter(key for name in poses for key, _ in scans.get(name, ()))
+    return (
+        {name: x for name, x in poses.items() if name not in prior.poses},
+        {key: x for key, x in points.items()
+         if observers[key] > 1 and key not in prior.points})
 
 
 def _estimates(
@@ -102,14 +115,13 @@ def _with_rest(
     dx = np.concatenate([
         *(pose_error(solved.poses[name], x) for name, x in prior.poses.items()),
         *(solved.points[key] - x for key, x in prior.points.items())])
-    sigma = np.sqrt(prior.P.diagonal())
-    sigma[sigma == 0.0] = 1.0
-    inverse = np.linalg.pinv(prior.P / np.outer(sigma, sigma), hermitian=True)
-    gain = known.P[n:, :n] @ (inverse / np.outer(sigma, sigma))
-    cross = gain @ solved.P[at]
-    P_rest = known.P[n:, n:] - gain @ (prior.P - solved.P[np.ix_(at, at)]) @ gain.T
+    whitening = whiten(prior.P, known.P[n:, :n], prior.P.diagonal())
+    C, pivots = whitening.C, whitening.pivots
+    cross = C @ whitening.whitened(solved.P[at[pivots]])
+    P_g = whitening.whitened(whitening.whitened(solved.P[np.ix_(at[pivots], at[pivots])]).T)
+    P_rest = known.P[n:, n:] - C @ (np.eye(len(pivots)) - P_g) @ C.T
     keys = [*known.points][len(prior.points):]
-    moved = (gain @ dx).reshape(-1, 2)
+    moved = (C @ whitening.whitened(dx[pivots, None])).reshape(-1, 2)
     return InitialAlignment(
         solved.poses,
         solved.points | {key: known.points[key] + step for key, step in zip(keys, moved)},

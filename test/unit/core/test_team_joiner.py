@@ -120,6 +120,25 @@ def test_joins_of_many_landmarks_that_do_not_fit_are_not_attempted_at_every_step
     assert len(made) == attempts + 1
 
 
+def test_a_robot_that_no_longer_sends_is_joined_once_enough_is_shared(joining):
+    joining.share_landmarks(2)
+    joining.joiner.join({})
+    assert joining.groups.not_in_map == {'r2': '2 shared landmarks, needs 3'}
+
+    # r1 goes on and finds what r2 has mapped; the stamp of r2 stands still.
+    state = joining.groups.of('r1').state
+    state.robots['r1'].stamp += NS
+    for number in (2, 3):
+        for robot, point in (
+                ('r1', np.array(POINTS[number])), ('r2', in_frame_of_r2(POINTS[number:])[0])):
+            of_robot = joining.groups.of(robot).state
+            of_robot.augment(
+                ('', number), of_robot.robots[robot], point, np.eye(2, 3), 1e-4 * np.eye(2))
+    joining.joiner.join({})
+
+    assert [group.frame for group in joining.groups] == ['map']
+
+
 def test_shared_landmarks_alone_join_nothing_before_step_0(joining):
     joining.groups.is_initialized = False
     joining.share_landmarks(3)

@@ -184,6 +184,27 @@ def test_known_landmarks_that_nobody_observes_are_solved_for_with_the_others(pol
     assert [*state.landmarks] == [('', n) for n in (0, 1, 2, 4, 3, 5)]
 
 
+@pytest.mark.parametrize('common', [10.0, 100.0])
+def test_a_large_error_that_all_known_landmarks_share_leaves_the_covariance_definite(common):
+    state, rng = known_map(np.random.default_rng(1)), np.random.default_rng(2)
+    landmarks = [*state.landmarks.values()]
+    # Relative errors of 1 cm, and an offset of all.
+    offset = np.tile(np.eye(2), (len(landmarks), len(landmarks)))
+    points = np.array([state.estimate(landmark) for landmark in landmarks])
+    prior = state_of_prior_map(PriorMap(
+        tuple(LANDMARKS), points, 1e-4 * random_covariance(rng, points.size)
+        + common ** 2 * offset))
+    prior.insert_robot('r1', 0, POSES['r1'], np.diag([common, common, 0.1]) ** 2)
+    seen = {'r1': [0, 1, 2], 'r2': [0, 1, 4]}
+    scans = {scan.robot: [(('', o.id), o) for o in scan.observations] for scan in look(**seen)}
+
+    found = initialize(prior, 'r1', scans, 0, FirstEstimates(), align)
+
+    P = found.marginal([*found.landmarks.values()])
+    # Elements of 1e4 m^2 are rounded to 1e-12 m^2.
+    assert np.linalg.eigvalsh(P)[0] > -1e-10 * (common / 100.0) ** 2
+
+
 def test_a_step_in_which_nobody_sees_anything_only_moves_the_robots():
     records = [*still(['r1', 'r2'], [0, SECOND, 2 * SECOND]), *look(r1=[0, 1], r2=[0, 1])]
     blind = [*records, *look(SECOND, r1=[], r2=[])]
