@@ -71,6 +71,8 @@ def without_outliers(own: JointMap, probability: float) -> tuple[JointMap, list[
             break
         kept, others = _without(kept, worst, limit)
         outliers += others
+    else:
+        kept = kept.solved()
     if len(outliers) > MAX_OUTLIER_FRACTION * count:
         return complete or own.solved(), []
     return kept, outliers

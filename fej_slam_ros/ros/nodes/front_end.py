@@ -75,7 +75,7 @@ class FrontEndNode(ParameterNode):
         super().__init__(name)
         # The latest warning of each robot, and the number of reports that had it.
         self._warnings: dict[str, tuple[str, int]] = {}
-        # The number of scans or messages of each robot, and of reports since it changed.
+        # The number of scans of each robot, and of reports since it changed.
         self._used: dict[str, tuple[int, int]] = {}
         self._qos = QosWatch(self)
         self.received = 0
@@ -157,14 +157,14 @@ class FrontEndNode(ParameterNode):
         return next((str(qos) for qos in self._qos.incompatible() if qos.topic in topics), '')
 
     def _silence(self, robot: str, values: Mapping[str, int]) -> str:
-        """Return that no data of a robot can be used any more, '' if some came lately."""
-        kind = 'scans' if 'scans' in values else 'messages'
-        used = values.get(kind, 0)
+        """Return that no scan of a robot can be used any more, '' if some came lately."""
+        # Other sensors send only what they see.
+        used = values.get('scans', 0)
         before, reports = self._used.get(robot, (0, 0))
         reports = reports + 1 if used == before else 0
         self._used[robot] = used, reports
         is_silent = used > 0 and reports >= PATIENCE
-        return f'its {kind} have stopped, or none is usable any more' if is_silent else ''
+        return 'its scans have stopped, or none is usable any more' if is_silent else ''
 
 
 def check_installed(type_names: Iterable[str]) -> None:
