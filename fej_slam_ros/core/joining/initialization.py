@@ -69,13 +69,12 @@ def initialize(
         return {**at_poses, **observing}, at_points
 
     solved = method(prior, new_poses, shared, scans, linearized_at)
+    known = prior
     if rest:
-        solved = _with_rest(solved, prior, _estimates(state, robots, [*observed, *rest]))
+        known = _estimates(state, robots, [*observed, *rest])
+        solved = _with_rest(solved, prior, known)
     located = _joint_state(solved, state, scans, stamp)
-    x_prior = [
-        *(solved.poses | prior.poses).values(),
-        *(state.estimate(state.landmarks[key]) if key in state.landmarks else x
-          for key, x in solved.points.items())]
+    x_prior = [*(solved.poses | known.poses).values(), *(solved.points | known.points).values()]
     transport_errors(linearization, located, np.concatenate(x_prior))
     return located
 

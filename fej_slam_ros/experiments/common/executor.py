@@ -83,15 +83,16 @@ class WorkerProcesses(ThreadPoolExecutor):
         with self._lock:
             if self._is_stopped:
                 raise CancelledError
-            if hasattr(self._of_thread, 'pool'):
-                submitted: Future[ResultT] = self._of_thread.pool.submit(function, *args, **kwargs)
-                return submitted
-            pool = self._of_thread.pool = _pool()
-            self._pools.append(pool)
+            is_new = not hasattr(self._of_thread, 'pool')
+            if is_new:
+                self._of_thread.pool = _pool()
+                self._pools.append(self._of_thread.pool)
+            pool: ProcessPoolExecutor = self._of_thread.pool
             submitted = pool.submit(function, *args, **kwargs)
-            # Only the process writes results. This end would keep the pool waiting for the rest of
-            # a result during which the process is killed.
-            pool._result_queue._writer.close()  # type: ignore[attr-defined]  # noqa: SLF001
+            if is_new:
+                # Only the process writes results. This end would keep the pool waiting for the
+                # rest of a result during which the process is killed.
+                pool._result_queue._writer.close()  # type: ignore[attr-defined]  # noqa: SLF001
             return submitted
 
 

@@ -8,6 +8,7 @@ from rclpy.node import Node
 
 #: Time of the machine [s] for which simulated time may stand still.
 CLOCK_PATIENCE = 5.0
+NO_CLOCK = 'waiting for /clock: use_sim_time is set'
 
 
 class ClockWatch:
@@ -23,7 +24,7 @@ class ClockWatch:
         if not self._node.get_parameter('use_sim_time').value:
             return ''
         if now is None:
-            return 'waiting for /clock: use_sim_time is set'
+            return NO_CLOCK
         if now != self._latest:
             self._latest, self._changed_at = now, monotonic()
         standing = monotonic() - self._changed_at

@@ -4,7 +4,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
 import json
 from time import monotonic
 
@@ -21,7 +20,7 @@ from rclpy.subscription import Subscription
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import decoded, definition, serialize
 from fej_slam_ros.ros.messages.outgoing import view_frames
-from fej_slam_ros.ros.nodes.ros_process import CheckedClockNode, message_class, ros
+from fej_slam_ros.ros.nodes.ros_process import CheckedClockNode, is_installed, message_class, ros
 from fej_slam_ros.ros.session.inputs import ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.live_plots import (
     CONSISTENCY, consistency, FRAMES, PlottedNode, SCHEMA)
@@ -106,7 +105,7 @@ class View(ServerListener):
 
     def _offer(self, topic: str, types: Sequence[str]) -> None:
         # Another node may publish a topic of the same name with a type of its own.
-        known = [name for name in types if name in SERVED_TYPES and find_spec(name.split('/')[0])]
+        known = [name for name in types if name in SERVED_TYPES and is_installed(name)]
         if known and len(self._served) >= MAX_TOPICS:
             self._warn(f'only {MAX_TOPICS} topics are offered: use a ROS domain of fewer topics')
         elif known:

@@ -14,13 +14,15 @@ from rclpy.experimental.events_executor import EventsExecutor
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
+from fej_slam_ros.ros.nodes.clock_watch import NO_CLOCK
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
 from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.nodes.ros_process import (
-    check_topic_names, descriptor, is_installed, message_class, ParameterNode, ros,
-    wait_for_arrival)
+    check_topic_names, debian_package, descriptor, is_installed, message_class, ParameterNode,
+    ros, wait_for_arrival)
 from fej_slam_ros.ros.nodes.topics import front_end_qos, input_qos
 from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES, Value
+from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.outputs import Publication
@@ -136,9 +138,10 @@ class FrontEndNode(ParameterNode):
 
     def _report(self) -> None:
         now = self.get_clock().now().nanoseconds
-        missing = '' if now else 'waiting for /clock: use_sim_time is set'
+        missing = '' if now else NO_CLOCK
+        incompatible = self._qos.incompatible()
         counts = [
-            (robot, missing or self._incompatible(robot) or warning
+            (robot, missing or self._problem_of(robot, incompatible) or warning
              or self._silence(robot, values), values)
             for robot, warning, values in self._front_end.counts()]
         self._publish([report(self.get_fully_qualified_name().lstrip('/'), counts, now)])
@@ -149,12 +152,12 @@ class FrontEndNode(ParameterNode):
             if warning and reports == PATIENCE:
                 self.get_logger().warning(f'{robot}: {warning}')
 
-    def _incompatible(self, robot: str) -> str:
+    def _problem_of(self, robot: str, incompatible: Iterable[IncompatibleQos]) -> str:
         """Return an incompatible quality of service of a robot's topics, '' if there is none."""
         topics = {
             self.resolve_topic_name(topic) for topic in self._front_end.topics
             if topic.startswith(f'{robot}/')}
-        return next((str(qos) for qos in self._qos.incompatible() if qos.topic in topics), '')
+        return next((str(qos) for qos in incompatible if qos.topic in topics), '')
 
     def _silence(self, robot: str, values: Mapping[str, int]) -> str:
         """Return that no scan of a robot can be used any more, '' if some came lately."""
@@ -171,7 +174,6 @@ def check_installed(type_names: Iterable[str]) -> None:
     """Raise UserError if the package of a message type is not installed."""
     for type_name in type_names:
         if not is_installed(type_name):
-            package = type_name.partition('/')[0]
             raise UserError(
-                f'messages of {type_name} need the package {package}: apt install'
-                f' ros-jazzy-{package.replace("_", "-")}, or source the workspace that has it')
+                f'messages of {type_name} need the package {type_name.partition("/")[0]}: apt'
+                f' install {debian_package(type_name)}, or source the workspace that has it')

@@ -13,7 +13,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.nodes.player import Player
-from fej_slam_ros.ros.nodes.ros_process import is_installed, ros
+from fej_slam_ros.ros.nodes.ros_process import debian_package, is_installed, ros
 
 
 def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> int:
@@ -40,7 +40,5 @@ def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> 
 def _left_out(topics: Mapping[str, bags.BagTopic]) -> str:
     """Return which topics are not played, and which packages they need."""
     names = ', '.join(f'{name} ({topic.messages} messages)' for name, topic in topics.items())
-    packages = sorted({
-        topic.type_name.partition('/')[0].replace('_', '-') for topic in topics.values()})
-    return f'left out: {names}; to play them, apt install ' + ' '.join(
-        f'ros-jazzy-{package}' for package in packages)
+    packages = sorted({debian_package(topic.type_name) for topic in topics.values()})
+    return f'left out: {names}; to play them, apt install {" ".join(packages)}'

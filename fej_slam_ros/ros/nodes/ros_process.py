@@ -241,6 +241,11 @@ def is_installed(type_name: str) -> bool:
     return find_spec(type_name.partition('/')[0]) is not None
 
 
+def debian_package(type_name: str) -> str:
+    """Return the name of the Debian package of a message type."""
+    return f'ros-jazzy-{type_name.partition("/")[0].replace("_", "-")}'
+
+
 def message_class(type_name: str) -> Any:
     """Return the class of a message type such as ``nav_msgs/msg/Odometry``."""
     package, kind, name = type_name.split('/')

@@ -10,7 +10,6 @@ until the end: add all messages that have arrived, then process the steps that a
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import replace
-from importlib.util import find_spec
 from itertools import count, islice
 from pathlib import Path
 from time import perf_counter
@@ -31,12 +30,13 @@ from fej_slam_ros.ros.nodes.clock_watch import ClockWatch
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
-from fej_slam_ros.ros.nodes.ros_process import check_topic_names
+from fej_slam_ros.ros.nodes.ros_process import check_topic_names, is_installed
 from fej_slam_ros.ros.nodes.run_saver import RunSaver
 from fej_slam_ros.ros.nodes.settings_node import SettingsNode
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import also_published
+from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.late_starts import NothingMissed
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
@@ -315,7 +315,7 @@ class SessionNode(SettingsNode):
 
     def _input_types(self) -> dict[str, str]:
         inputs = self._session.inputs
-        return inputs.topics | (inputs.static_topics if find_spec('tf2_msgs') else {})
+        return inputs.topics | (inputs.static_topics if is_installed(TF_TYPE) else {})
 
     def _input_names(self) -> str:
         names = log_writer.grouped(map(self.resolve_topic_name, self._session.inputs.topics))

@@ -4,7 +4,6 @@
 
 from collections.abc import Collection
 from dataclasses import replace
-from importlib.util import find_spec
 from typing import Any
 
 from rcl_interfaces.msg import SetParametersResult
@@ -12,8 +11,9 @@ from rclpy.parameter import Parameter as RosParameter
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
-from fej_slam_ros.ros.nodes.ros_process import descriptor
+from fej_slam_ros.ros.nodes.ros_process import descriptor, is_installed
 from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.inputs import TF_TYPE
 
 
 class SettingsNode(ManagedNode):
@@ -69,7 +69,7 @@ class SettingsNode(ManagedNode):
     def _lacks_tf(self) -> bool:
         """Return whether the node cannot publish the transforms that it is to publish."""
         is_wanted = self.get_parameter(self.tf_parameter).value
-        return bool(is_wanted) and find_spec('tf2_msgs') is None
+        return bool(is_wanted) and not is_installed(TF_TYPE)
 
     def _log_ignored(self, of_other_nodes: Collection[str]) -> None:
         ignored = [name for name in self.given if name in of_other_nodes]
