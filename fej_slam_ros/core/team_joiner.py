@@ -222,7 +222,7 @@ class TeamJoiner:
 
     def _join_by_shared(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group, but not again soon if that is expensive."""
-        names, newest = (group.owner, other.owner), max(_newest_stamp(group), _newest_stamp(other))
+        names, newest = (group.owner, other.owner), _newest_stamp(group, other)
         shared = len(group.state.landmarks.keys() & other.state.landmarks.keys())
         due, shared_then, reason = self._postponed.get(names, (newest, 0, ''))
         # A robot that has restarted shares fewer.
@@ -245,7 +245,7 @@ class TeamJoiner:
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group that has the same landmarks without ID."""
         names = group.owner, other.owner
-        newest = _newest_stamp(other)
+        newest = _newest_stamp(group, other)
         compared_at, reason = self._compared.get(names, (-COMPARISON_PERIOD, ''))
         if 0 <= newest - compared_at < COMPARISON_PERIOD:
             return JoinFailure(reason)
@@ -283,8 +283,8 @@ class TeamJoiner:
             threshold=threshold, observed=key.observed))
 
 
-def _newest_stamp(group: FrameGroup) -> int:
-    return max((robot.stamp for robot in group.robots.values()), default=0)
+def _newest_stamp(*groups: FrameGroup) -> int:
+    return max((robot.stamp for group in groups for robot in group.robots.values()), default=0)
 
 
 def _map_joiner(settings: Settings) -> MapJoiner:

@@ -42,13 +42,14 @@ class Joining:
         self.groups.is_initialized = True
         self.joiner = TeamJoiner(settings, self.groups, LandmarkManager(), self.statistics)
 
-    def observe_landmarks(self, robot, points, sigma=0.01):
-        """Let a robot start landmarks at points of the base frame, numbered from 0."""
+    def observe_landmarks(self, robot, points, sigma=0.01, first_id=0):
+        """Let a robot start confirmed landmarks at points of the base frame, numbered on."""
         state = self.groups.of(robot).state
-        for number, point in enumerate(points):
-            state.augment(
+        for number, point in enumerate(points, first_id):
+            landmark = state.augment(
                 ('', number), state.robots[robot], np.array(point), np.eye(2, 3),
                 sigma**2 * np.eye(2))
+            landmark.tentative = None
 
     def share_landmarks(self, count):
         """Let both robots start the first landmarks of `POINTS`."""
@@ -134,6 +135,21 @@ def test_a_robot_that_no_longer_sends_is_joined_once_enough_is_shared(joining):
             of_robot = joining.groups.of(robot).state
             of_robot.augment(
                 ('', number), of_robot.robots[robot], point, np.eye(2, 3), 1e-4 * np.eye(2))
+    joining.joiner.join({})
+
+    assert [group.frame for group in joining.groups] == ['map']
+
+
+def test_a_robot_that_no_longer_sends_is_found_among_the_landmarks_without_id_of_others(joining):
+    points = np.random.default_rng(2).uniform(-8.0, 8.0, (6, 2))
+    joining.observe_landmarks('r2', in_frame_of_r2(points), first_id=-100)
+    joining.observe_landmarks('r1', points[:3], first_id=-200)
+    joining.joiner.join({})
+    assert 'without ID' in joining.groups.not_in_map['r2']
+
+    # r1 goes on and finds what r2 has mapped; the stamp of r2 stands still.
+    joining.groups.of('r1').robots['r1'].stamp += NS
+    joining.observe_landmarks('r1', points[3:], first_id=-197)
     joining.joiner.join({})
 
     assert [group.frame for group in joining.groups] == ['map']
