@@ -24,10 +24,10 @@ PYTEST := $(VENV)/bin/python -m pytest -n auto --dist worksteal
 
 DATA ?=
 
-.PHONY: help demo reproduce docs test test-all lint clean
+.PHONY: help demo reproduce docs test test-all test-oldest lint clean
 
 help:  ## this list
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 demo: $(DEMO_STAMP)  ## simulator and estimator as two processes, a table and a picture
 	$(VENV)/bin/fej_slam demo --force
@@ -42,14 +42,17 @@ docs: $(DEMO_STAMP)  ## the pages in docs/ that are generated from the code
 test: $(TEST_STAMP)  ## tests and linters, about 5 minutes on two cores
 	$(PYTEST)
 
-test-all: $(TEST_STAMP)  ## all tests, before a release: network faults, soak runs, hundreds of seeds
+test-oldest:  ## the tests with the oldest supported libraries, those of Ubuntu 24.04
+	$(MAKE) test VENV=$(VENV)-oldest PIP_CONSTRAINT=$(CURDIR)/test/oldest.txt
+
+test-all: $(TEST_STAMP) test-oldest  ## all tests, before a release: network faults, soak runs, hundreds of seeds
 	$(PYTEST) -m ''
 
 lint: $(TEST_STAMP)  ## style, types and the import rule
 	$(VENV)/bin/python -m pytest -m linter
 
 clean:  ## remove what the other targets and colcon made
-	rm -rf $(VENV) build install log demo*_output reproduced *.egg-info
+	rm -rf $(VENV) $(VENV)-oldest build install log demo*_output reproduced *.egg-info
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 

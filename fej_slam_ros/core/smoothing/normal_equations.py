@@ -123,9 +123,7 @@ class Cholesky:
     def __init__(self, matrix: csc_array) -> None:
         """Factor the matrix; raise SingularError if it is not numerically definite."""
         try:
-            self._factors: SuperLU = splu(
-                matrix, permc_spec='NATURAL', diag_pivot_thresh=0.0,
-                options={'SymmetricMode': True})
+            self._factors = _factored(matrix, 'NATURAL')
         except RuntimeError:
             raise SingularError(UNDETERMINED) from None
         self._matrix = matrix
@@ -186,11 +184,18 @@ def _elimination_order(count: int, free: Indices, links: Links) -> Indices:
     data = np.concatenate([degree, np.full(2 * len(a), -1.0)])
     rows, columns = np.concatenate([nodes, a, b]), np.concatenate([nodes, b, a])
     graph = csc_array((data, (rows, columns)), shape=(len(free), len(free)))
-    factors = splu(
-        graph, permc_spec='MMD_AT_PLUS_A', diag_pivot_thresh=0.0, options={'SymmetricMode': True})
     order = np.empty(len(free), np.intp)
-    order[factors.perm_c] = free
+    order[_factored(graph, 'MMD_AT_PLUS_A').perm_c] = free
     return order
+
+
+def _factored(matrix: csc_array, order: str) -> SuperLU:
+    """Factor a symmetric matrix without pivoting, in an order by its name in scipy."""
+    # scipy 1.11, which Ubuntu 24.04 has, takes indices of this type only.
+    rows, columns = (i.astype(np.intc, copy=False) for i in (matrix.indices, matrix.indptr))
+    return splu(
+        csc_array((matrix.data, rows, columns), shape=matrix.shape), permc_spec=order,
+        diag_pivot_thresh=0.0, options={'SymmetricMode': True})
 
 
 def _linked(links: Links, rank: Indices) -> tuple[Indices, Indices]:
