@@ -126,7 +126,12 @@ def load_map(path: Path) -> PriorMap:
         team = core.restore(stored[ESTIMATOR_KEY], settings, Estimator).groups.team
     if team.map().has_shared_ids():
         return team.prior_map()
-    raise UserError(
+    raise no_shared_ids(path)
+
+
+def no_shared_ids(path: Path) -> UserError:
+    """Return the error on a file that is no prior map."""
+    return UserError(
         f'{path} has no landmarks in map with IDs that all robots share: give another one')
 
 

@@ -38,12 +38,21 @@ def prior_map(settings: RunSettings) -> PriorMap | None:
             prior = checkpoint.load_map(path)
             _check_number(len(prior.ids), most)
             return prior
+        if _has_ids_of_each_robot(path):
+            raise checkpoint.no_shared_ids(path)
         with path.open(encoding='utf-8-sig', errors='replace', newline='') as file:
             return _read(csv.DictReader(file), most)
     except OSError as error:
         raise UserError(f'cannot read the prior landmarks {path}: {error.strerror}') from None
     except (ValueError, csv.Error) as error:
         raise UserError(f'{path} cannot be read as a table of landmarks: {error}') from None
+
+
+def _has_ids_of_each_robot(path: Path) -> bool:
+    """Return whether a map is of a run in which a landmark has an ID of each robot's own."""
+    ids = path.with_name('ids.csv')
+    return path.name == 'landmarks.csv' and ids.exists() and bool(
+        ids.read_text(encoding='utf-8', errors='replace').splitlines()[1:])
 
 
 def _check_number(landmarks: int, most: int) -> None:

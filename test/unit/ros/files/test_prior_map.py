@@ -155,10 +155,11 @@ def test_the_checkpoint_of_other_robots_has_the_joint_covariance_of_its_map(tmp_
     np.testing.assert_array_equal(found.P, state.marginal(landmarks))
 
 
-def test_a_checkpoint_without_shared_ids_is_no_prior_map(tmp_path):
+@pytest.mark.parametrize('name', ['landmarks.csv', 'checkpoint'])
+def test_a_map_without_shared_ids_is_no_prior_map(tmp_path, name):
     first_run(tmp_path, shared_landmark_ids=False)
 
-    path = tmp_path / 'checkpoint'
+    path = tmp_path / name
     assert rejected(str(path)).startswith(
         f'{path} has no landmarks in map with IDs that all robots share')
 
