@@ -15,6 +15,7 @@ from fej_slam_ros.core.geometry import Array, ellipse, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.evaluation.coverage import band_per_dof
 from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
+from fej_slam_ros.figure_files import save
 from fej_slam_ros.palette import line_style
 
 #: Scale of the ellipses and error bands [standard deviations].
@@ -43,8 +44,7 @@ def draw_trajectories(file: BinaryIO, evaluation: RunEvaluation) -> None:
     axes.set(xlabel='x [m]', ylabel='y [m]', aspect='equal', adjustable='datalim')
     axes.set_title('Unaligned, frame map; 3-sigma ellipses; dots: first poses')
     axes.grid(alpha=0.25)
-    figure.legend(*axes.get_legend_handles_labels(), loc='outside lower center', ncols=5)
-    figure.savefig(file, dpi=110)
+    save(file, figure, axes, 5)
 
 
 def draw_errors(file: BinaryIO, evaluation: RunEvaluation) -> None:
@@ -67,8 +67,7 @@ def draw_errors(file: BinaryIO, evaluation: RunEvaluation) -> None:
     for axes in grid[-1]:
         axes.set_xlabel('time [s]')
     figure.suptitle('Estimate - truth, unaligned')
-    figure.legend(*grid[0, 0].get_legend_handles_labels(), loc='outside lower center', ncols=2)
-    figure.savefig(file, dpi=110)
+    save(file, figure, grid[0, 0], 2)
 
 
 def draw_nees(file: BinaryIO, evaluation: RunEvaluation) -> None:
@@ -97,8 +96,7 @@ def draw_nees(file: BinaryIO, evaluation: RunEvaluation) -> None:
         title='Coverage: below the diagonal is overconfident', aspect='equal')
     for axes in (left, right):
         axes.grid(alpha=0.25)
-    figure.legend(*left.get_legend_handles_labels(), loc='outside lower center', ncols=5)
-    figure.savefig(file, dpi=110)
+    save(file, figure, left, 5)
 
 
 def _draw_landmarks(axes: Axes, evaluation: RunEvaluation) -> None:

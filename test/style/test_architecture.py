@@ -92,9 +92,9 @@ RULES = {
     'datasets/': Rule(f'{CORE} fej_slam_ros.datasets fej_slam_ros.tables'),
     'experiments/common/cluster.py': Rule('fej_slam_ros.errors distributed'),
     'experiments/': Rule(
-        f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.palette '
-        'fej_slam_ros.tables fej_slam_ros.child_process fej_slam_ros.interrupts '
-        'matplotlib'),
+        f'{SIM} fej_slam_ros.datasets fej_slam_ros.experiments fej_slam_ros.figure_files '
+        'fej_slam_ros.palette fej_slam_ros.tables fej_slam_ros.child_process '
+        'fej_slam_ros.interrupts matplotlib'),
     'benchmark/isam2.py': Rule(f'{CORE} fej_slam_ros.benchmark.synthetic_drive gtsam'),
     'benchmark/gtsam_batch.py': Rule(
         f'{CORE} fej_slam_ros.benchmark.batch fej_slam_ros.benchmark.isam2 gtsam'),
@@ -103,7 +103,8 @@ RULES = {
     'benchmark/': Rule(
         f'{ROS} {SIM} fej_slam_ros.benchmark fej_slam_ros.experiments fej_slam_ros.tables'),
     'evaluation/': Rule(
-        f'{CORE} fej_slam_ros.evaluation fej_slam_ros.palette fej_slam_ros.tables matplotlib'),
+        f'{CORE} fej_slam_ros.evaluation fej_slam_ros.figure_files fej_slam_ros.palette '
+        'fej_slam_ros.tables matplotlib'),
     'ros/files/run_results.py': Rule(f'{ROS} fej_slam_ros.evaluation.run_result'),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/foxglove.py': Rule(f'{ROS} foxglove', NO_ALGEBRA),
@@ -114,6 +115,7 @@ RULES = {
     'errors.py': Rule(''),
     'interrupts.py': Rule(''),
     'child_process.py': Rule(''),
+    'figure_files.py': Rule('matplotlib'),
     'palette.py': Rule(''),
     'tables.py': Rule(''),
     'atomic_files.py': Rule('fej_slam_ros.errors'),

@@ -94,6 +94,9 @@ class Alignment:
 
 def square_root_information(P: Array) -> Array:
     """Return the upper triangular R_sqrt (n, n) with R_sqrt^T R_sqrt = P^-1."""
+    if not len(P):
+        # solve_triangular of scipy 1.11 rejects a matrix without rows.
+        return P
     # P = U U^T with U upper triangular.
     U = cholesky(P[::-1, ::-1], lower=True)[::-1, ::-1]
     R_sqrt: Array = solve_triangular(U, np.eye(len(P)))

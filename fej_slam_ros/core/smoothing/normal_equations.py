@@ -150,6 +150,9 @@ class Cholesky:
         the rows that elimination reaches from these, of which there are few.
 
         """
+        if not len(rows):
+            # solve_triangular of scipy 1.11 rejects a matrix without rows.
+            return np.zeros((0, 0))
         L: csc_array = self._factors.L.tocsc()
         wanted = self._factors.perm_c[rows]
         is_reached = np.zeros(len(self._pivots), bool)

@@ -1,12 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Elements of figures: styles of filters, covariance ellipses, logarithmic axes, legends."""
+"""Elements of figures: styles of filters, covariance ellipses, logarithmic axes."""
 
 import math
-from typing import BinaryIO, NamedTuple
+from typing import NamedTuple
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 from matplotlib.ticker import LogLocator, NullLocator
 
@@ -47,10 +46,3 @@ def scale_by_logarithm(axes: Axes) -> None:
     axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axes.yaxis.set_major_formatter('{x:g}')
     axes.yaxis.set_minor_locator(NullLocator())
-
-
-def save(file: BinaryIO, figure: Figure, legend_of: Axes, columns: int) -> None:
-    """Write a figure as a PNG, with the legend of one of its axes below all of them."""
-    figure.legend(
-        *legend_of.get_legend_handles_labels(), loc='outside lower center', ncols=columns)
-    figure.savefig(file, dpi=110)

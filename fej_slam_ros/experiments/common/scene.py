@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.experiments.common.drawing import draw_ellipse, TRUTH_COLOUR
+from fej_slam_ros.figure_files import save
 from fej_slam_ros.palette import robot_colour
 
 ELLIPSE_SIGMAS = 3.0
@@ -54,8 +55,7 @@ def draw_scene(
     axes.plot([], [], 'o', color='black', markersize=5, label='start')
     axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal')
     axes.grid(alpha=0.25)
-    figure.legend(loc='outside lower center', ncols=4, fontsize='small')
-    figure.savefig(file, dpi=110, bbox_inches='tight')
+    save(file, figure, axes, 3)
 
 
 def _draw_start(axes: Axes, name: str, pose: Array) -> None:

@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from fej_slam_ros.experiments.common.drawing import FILTER_STYLES, save, scale_by_logarithm
+from fej_slam_ros.experiments.common.drawing import FILTER_STYLES, scale_by_logarithm
 from fej_slam_ros.experiments.liu.configurations import Configuration, TABLE_FILTERS
 from fej_slam_ros.experiments.liu.metrics import error_curves, ErrorCurves, nees_band
 from fej_slam_ros.experiments.liu.monte_carlo import Errors
+from fej_slam_ros.figure_files import save
 from fej_slam_ros.sim.world import World
 
 #: Colour and marker of each robot's positions.

@@ -9,10 +9,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from fej_slam_ros.experiments.common.drawing import FILTER_STYLES, save, scale_by_logarithm
+from fej_slam_ros.experiments.common.drawing import FILTER_STYLES, scale_by_logarithm
 from fej_slam_ros.experiments.liu.figures import ERROR_LABELS
 from fej_slam_ros.experiments.liu.noise import (
     by_configuration, CaseMeans, Means, NOISE_FILTERS, NoiseCase)
+from fej_slam_ros.figure_files import save
 
 #: Horizontal distance between the filters at a level, so that their intervals do not overlap.
 FILTER_OFFSET = 0.09

@@ -12,8 +12,9 @@ from matplotlib.ticker import MaxNLocator
 import numpy as np
 
 from fej_slam_ros.core.ekf.observability import RANK_TOLERANCE
-from fej_slam_ros.experiments.common.drawing import save, TRUTH_COLOUR
+from fej_slam_ros.experiments.common.drawing import TRUTH_COLOUR
 from fej_slam_ros.experiments.liu.observability import Observability
+from fej_slam_ros.figure_files import save
 from fej_slam_ros.palette import ROBOT_COLOURS
 
 #: Lower end of the plot: smaller singular values, zero included, are drawn here.

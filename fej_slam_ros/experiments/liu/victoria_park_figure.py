@@ -8,9 +8,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
-from fej_slam_ros.experiments.common.drawing import save
 from fej_slam_ros.experiments.liu.victoria_park import (
     OBSERVATION_SIGMAS, PARK_FILTERS, ParkEstimate, VictoriaPark)
+from fej_slam_ros.figure_files import save
 from fej_slam_ros.palette import ROBOT_COLOURS
 
 ROBOT_LINES = {'r1': ('-', ROBOT_COLOURS[0]), 'r2': ('--', ROBOT_COLOURS[1])}

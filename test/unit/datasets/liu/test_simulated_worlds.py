@@ -104,12 +104,14 @@ def test_a_foreign_or_damaged_file_is_rejected_with_the_reason(tmp_path, wrong, 
     assert re.fullmatch(rf'{path}: {reason}.*; fetch the file again', str(rejected.value))
 
 
-@pytest.mark.parametrize('content', [b'', b'landmarks,x,y\n1,2,3\n', bytes(500)])
+@pytest.mark.parametrize(
+    'content', [b'', b'landmarks,x,y\n1,2,3\n', bytes(500)], ids=['empty', 'text', 'zeros'])
 def test_a_file_in_another_format_is_rejected(tmp_path, content):
     path = file_of(tmp_path, 1, 100)
     path.write_bytes(content)
 
-    with pytest.raises(UserError, match='cannot be read as a MATLAB file') as rejected:
+    # For scipy 1.11, zeros are a MATLAB file without variables.
+    with pytest.raises(UserError, match=r'cannot be read as a MATLAB file|lacks') as rejected:
         read(tmp_path, 1, 100)
 
     assert str(rejected.value).startswith(f'{path}: ')
