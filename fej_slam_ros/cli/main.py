@@ -41,6 +41,7 @@ MISSING_MODULES = {
     'rosbags': (
         "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install rosbags'"),
     'foxglove': "pip install '.[foxglove]'",
+    'matplotlib': "pip install '.[plot]'",
     # Not on PyPI.
     'tf2_msgs': 'apt install ros-jazzy-tf2-msgs',
     'distributed': "pip install '.[dask]'"}

@@ -124,7 +124,8 @@ def test_errors_of_a_verb_offer_only_options_that_it_has(verb):
 
 @pytest.mark.parametrize(('module', 'cure'), [
     ('rclpy', 'source ROS 2 Jazzy, or'), ('rosbags', "run 'rosdep install "),
-    ('rosbags.typesys', "'pip install rosbags'"), ('foxglove', "pip install '.[foxglove]'")])
+    ('rosbags.typesys', "'pip install rosbags'"), ('foxglove', "pip install '.[foxglove]'"),
+    ('matplotlib', "pip install '.[plot]'")])
 def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
     error = ModuleNotFoundError(f'No module named {module!r}', name=module)
 
@@ -132,6 +133,7 @@ def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
     sentence = capsys.readouterr().err
     assert sentence.startswith(f'play: the Python module {module} is missing: ')
     assert cure in sentence
+    assert module == 'rclpy' or 'source ROS' not in sentence
     assert sentence.count('\n') == 1
 
 
