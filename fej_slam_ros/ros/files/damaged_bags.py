@@ -22,6 +22,10 @@ def explanation(path: Path, error: Exception) -> str:
     """Return one sentence about a bag for which the reader raised an error."""
     if not path.exists():
         return f'{path} does not exist: give the folder of a rosbag2'
+    if isinstance(error, PermissionError) or isinstance(error.__cause__, PermissionError):
+        return (
+            f'{path} cannot be read: permission denied: run as its owner, or change the'
+            ' permissions')
     with suppress(OSError, struct.error):
         return next(_faults(path), _unknown(path, error))
     return _unknown(path, error)
@@ -55,15 +59,25 @@ def _is_same(connection: Connection, listed: Connection) -> bool:
 
 
 def _faults(bag: Path) -> Iterator[str]:
+    if bag.suffix == '.bag':
+        yield (
+            f'{bag} is a bag of ROS 1: convert it with "rosbags-convert --src {bag} --dst NEW'
+            ' --dst-storage mcap"')
     files = sorted(_files(bag))
+    if bag.is_dir() and not files and not (bag / METADATA).exists():
+        inside = sorted(str(metadata.parent) for metadata in bag.glob(f'*/{METADATA}'))
+        cure = f'give one of {", ".join(inside)}' if inside else 'give the folder of one'
+        yield f'{bag} is no rosbag2, it has no {METADATA}: {cure}'
     for file in files:
         if _is_truncated(file):
             yield (
                 f'{file} is truncated, its recording or copy was interrupted: {_cure(file)}')
     if files and bag.is_dir() and not (bag / METADATA).exists():
+        sources = ' '.join(map(str, files))
         yield (
             f'{bag} has no {METADATA}, its recording was interrupted: run'
-            f' "ros2 bag reindex {bag}", which writes it')
+            f' "ros2 bag reindex {bag}", which writes it, or without ROS "rosbags-convert --src'
+            f' {sources} --dst NEW --dst-storage mcap"')
     for file in files:
         if file.suffix == '.mcap':
             damage = checksums.mismatch(file) or checksums.damaged_chunks(file)

@@ -2,12 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """A damaged bag is explained by its file and by the command that repairs it."""
 
+import shlex
 import sqlite3
+import subprocess
+import sys
 
 import pytest
+from rosbags.rosbag2 import ReaderError
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files import bags, damaged_bags
 from helpers.ros import meeting
 
 SUFFIXES = {'mcap': 'mcap', 'sqlite3': 'db3'}
@@ -46,12 +50,52 @@ def test_a_truncated_file_is_named_with_the_command_that_recovers_it(bag, storag
 
 
 @each_storage
-def test_a_bag_without_metadata_is_reindexed(bag):
+def test_a_bag_without_metadata_is_reindexed_or_converted(bag, storage, monkeypatch):
+    whole = [*bags.read(bag)]
     (bag / 'metadata.yaml').unlink()
+    monkeypatch.chdir(bag.parent)
 
-    assert explained(bag) == (
-        f'{bag} has no metadata.yaml, its recording was interrupted: run "ros2 bag reindex'
-        f' {bag}", which writes it')
+    explanation = explained(bag)
+
+    assert explanation.startswith(
+        f'{bag} has no metadata.yaml, its recording was interrupted: run "ros2 bag reindex {bag}"')
+    command = shlex.split(explanation.split('"')[-2])
+    assert command[:3] == ['rosbags-convert', '--src', f'{bag}/bag.{SUFFIXES[storage]}']
+    # The program of rosbags may not be on the PATH of the tests.
+    subprocess.run(
+        [sys.executable, '-c', 'from rosbags.convert.cli import main; main()', *command[1:]],
+        check=True)
+    assert [*bags.read(bag.with_name('NEW'))] == whole
+
+
+def test_a_bag_of_ros_1_is_named_with_the_command_that_converts_it(tmp_path):
+    (tmp_path / 'old.bag').write_bytes(b'#ROSBAG V2.0')
+
+    assert explained(tmp_path / 'old.bag') == (
+        f'{tmp_path}/old.bag is a bag of ROS 1: convert it with "rosbags-convert --src'
+        f' {tmp_path}/old.bag --dst NEW --dst-storage mcap"')
+
+
+@pytest.mark.parametrize('storage', ['mcap'])
+def test_the_bags_in_a_folder_that_is_none_are_named(bag):
+    assert explained(bag.parent) == (
+        f'{bag.parent} is no rosbag2, it has no metadata.yaml: give one of {bag}')
+
+
+def test_an_empty_folder_is_no_bag(tmp_path):
+    assert explained(tmp_path) == (
+        f'{tmp_path} is no rosbag2, it has no metadata.yaml: give the folder of one')
+
+
+@pytest.mark.parametrize('cause', [None, PermissionError()])
+def test_a_bag_without_permission_is_not_called_incomplete(tmp_path, cause):
+    # As the reader raises it for metadata.yaml, and for the files of a bag.
+    error = ReaderError('Could not open file') if cause else PermissionError()
+    error.__cause__ = cause
+
+    assert damaged_bags.explanation(tmp_path, error) == (
+        f'{tmp_path} cannot be read: permission denied: run as its owner, or change the'
+        ' permissions')
 
 
 @each_storage
