@@ -97,9 +97,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     path: Path = arguments.run
+    # A folder of no run is reported as such, and not for its missing ground truth.
+    of_folder = None if is_bag else run_results.read_folder(path)
     sources = _sources(arguments)
-    names, truth = sources.run_names, sources.truth
-    result = run_results.read_bag(path, names) if is_bag else run_results.read_folder(path)
+    truth = sources.truth
+    result = of_folder or run_results.read_bag(path, sources.run_names)
     true_data, invalid_truth = run_results.read_truth(truth, sources.truth_names)
     evaluation = RunEvaluation(result, true_data, arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}

@@ -222,6 +222,16 @@ def test_a_damaged_folder_is_reported_in_one_sentence(
     assert printed.err.count('\n') == 1
 
 
+def test_a_folder_of_no_run_is_not_asked_for_its_ground_truth(evaluate, tmp_path):
+    (tmp_path / 'empty').mkdir()
+
+    status, _, printed = evaluate(tmp_path / 'empty', '--no-plots')
+
+    assert status == 1
+    assert f'{tmp_path / "empty"} has no trajectory_<robot>.csv and is no rosbag2' in printed.err
+    assert printed.err.count('\n') == 1
+
+
 def test_a_truth_with_a_quaternion_of_another_norm_is_reported(replayed, evaluate, tmp_path):
     (tmp_path / 'truth').mkdir()
     (tmp_path / 'truth' / 'r1.tum').write_text('1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 2\n')
