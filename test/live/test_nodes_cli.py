@@ -35,7 +35,7 @@ def sentence(errors):
         ({'robots': 'r1'}, ["'robots'", 'a list']),
         ({'filter': 'fej'}, ["'robots'", 'list the robots']),
         ({'robots': []}, ['robots: [r1, r2]']),
-        ({'robots': ['r1'], 'anchor_pose': [0, 0.5, 0]}, ['Sequence should be of same type']),
+        ({'robots': ['r1'], 'anchor_pose': [0, 0.5, 0]}, ['given.yaml: ', '[0.0, 0.5, 0.0]']),
     ],
 )
 def test_an_estimator_rejects_invalid_parameters(
@@ -83,13 +83,21 @@ def test_a_node_rejects_unknown_ros_arguments(capfd, verb, words, part):
     assert part in sentence(capfd.readouterr().err)
 
 
-@pytest.mark.parametrize('text', ['a: [', '{', '/**: {ros__parameters: 3}'])
-def test_a_file_without_parameters_is_rejected(tmp_path, capfd, text):
+@pytest.mark.parametrize(('text', 'cure'), [
+    ('a: [', 'correct line 1, which is not YAML'),
+    ('/**:\n\tros__parameters:\n', 'correct line 2, which is not YAML'),
+    ('robots: [r1]\n', 'put them under /**: and ros__parameters:'),
+    ('/**:\n  ros_parameters:\n    robots: [r1]\n', 'put them under /**: and ros__parameters:'),
+    ('/**: {ros__parameters: 3}', 'put them under /**: and ros__parameters:'),
+    ('/**:\n  ros__parameters:\n    robots:\n', "'robots' has no value: give it one")])
+def test_a_file_that_ros_refuses_is_rejected_with_the_cure(tmp_path, capfd, text, cure):
     path = tmp_path / 'given.yaml'
     path.write_text(text)
 
     assert run_verb('estimator', '--ros-args', '--params-file', path) == 2
-    assert 'given.yaml' in sentence(capfd.readouterr().err)
+    error = sentence(capfd.readouterr().err)
+    assert error.startswith(f'estimator: {path}: ')
+    assert cure in error
 
 
 def test_an_estimator_does_not_overwrite_results(tmp_path, capfd):

@@ -37,6 +37,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.interrupts import handled
 from fej_slam_ros.ros.parameters.parsing import MAX_WARNINGS, shortened
 from fej_slam_ros.ros.parameters.yaml_bounds import MAX_PARAMETER_FILE
+from fej_slam_ros.ros.parameters.yaml_files import check_for_ros
 
 #: Longest wait for acknowledgements of the last messages [s]: above the DDS heartbeat of 3 s.
 MAX_ACK_WAIT = 4.0
@@ -125,6 +126,9 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
     try:
         rclpy.init(args=list(ros_args), signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:
+        # ROS names the line of a file, but neither the parameter nor a cure.
+        for path in _parameter_files(ros_args):
+            check_for_ros(path)
         raise UsageError(f'ROS does not accept its arguments: {_first_line(error)}') from None
     with Stop() as stopped, handled(stopped.set, stopped.set_urgent):
         try:
@@ -285,14 +289,18 @@ def wait_for_arrival(
 
 def _check_parameter_files(ros_args: Sequence[str]) -> None:
     # The error of rcl is several lines long.
-    for option, path in pairwise(ros_args):
-        if option == '--params-file' and not Path(path).is_file():
+    for path in _parameter_files(ros_args):
+        if not path.is_file():
             raise UsageError(f'{path} does not exist: give the path of a ROS parameter file')
         # rcl would read it for minutes.
-        if option == '--params-file' and Path(path).stat().st_size > MAX_PARAMETER_FILE:
+        if path.stat().st_size > MAX_PARAMETER_FILE:
             raise UsageError(
                 f'{path} is larger than {MAX_PARAMETER_FILE:,} bytes: give the path of a ROS'
                 ' parameter file')
+
+
+def _parameter_files(ros_args: Sequence[str]) -> list[Path]:
+    return [Path(path) for option, path in pairwise(ros_args) if option == '--params-file']
 
 
 def _first_line(error: Exception) -> str:

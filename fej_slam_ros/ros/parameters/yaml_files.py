@@ -22,6 +22,8 @@ from fej_slam_ros.ros.parameters.schema import as_parameters
 from fej_slam_ros.ros.parameters.yaml_bounds import (
     MAX_PARAMETER_FILE, read_bounded, YamlBoundsError)
 
+#: Where parameters belong.
+PLACE = 'put them under /**: and ros__parameters:'
 #: Settings of a node.
 T = TypeVar('T')
 
@@ -53,8 +55,25 @@ def load_values(
         if any(_applies(section, node) for node in names)}
     if not values:
         raise UsageError(
-            f'no parameters for the node {nodes[-1]!r}: put them under /**: and ros__parameters:')
+            f'no parameters for the node {nodes[-1]!r}: {PLACE}')
     return with_current_names(values, warn)
+
+
+def check_for_ros(path: Path) -> None:
+    """Raise UsageError with the cure of the mistake for which ROS refuses a parameter file."""
+    try:
+        parameters = [*_entries(_read_yaml(path))]
+        if not parameters:
+            raise UsageError(f'no parameters for a node: {PLACE}')
+        for _, name, value in parameters:
+            if value is None:
+                raise UsageError(f'parameter {name!r} has no value: give it one, or leave it out')
+            if isinstance(value, list) and {type(v) for v in value} == {int, float}:
+                raise UsageError(
+                    f'parameter {name!r} mixes integers and floats, which ROS refuses: write'
+                    f' {[float(v) for v in value]}')
+    except UsageError as error:
+        raise UsageError(f'{path}: {error}') from error
 
 
 def dump(settings: RunSettings) -> str:
