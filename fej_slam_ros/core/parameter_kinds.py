@@ -47,6 +47,7 @@ class Kind:
     shape: tuple[int | None, ...] = ()
     allowed: Callable[[Any], object] = lambda _: True  #: predicate of each element
     within: Range | None = None  #: range of a number, None for other types
+    angles: int = 0  #: number of elements at the end of a list that are angles [rad]
 
     def read(self, value: object) -> Any:
         """Return the value as the settings store it, None if it is not of this kind."""
@@ -82,7 +83,7 @@ NOT_NEGATIVE = numbers('a number', Range(0, 1e9))
 POSITIVE = numbers('a number', Range(0, 1e9, excludes_low=True))
 PERIOD = numbers('a number', Range(0.01, 1e6))
 PROBABILITY = numbers('a number', Range(0, 1, excludes_low=True))
-POSE = numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,))
+POSE = replace(numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,)), angles=1)
 POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))
 # Zero would make the covariance of an observation singular.
 POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))

@@ -3,7 +3,7 @@
 """Parameters of the adapter: which messages it reads, and how exact they are."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 import re
 from typing import Any
@@ -15,13 +15,14 @@ from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
 from fej_slam_ros.ros.parameters.parsing import (
-    checked_values, known_values, robot_names, Warn, warn_once)
+    checked_values, known_values, robot_names, Warn, warn_of_degrees, warn_once)
 from fej_slam_ros.ros.parameters.schema import Value
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed
 
 FORMAT_NAMES = Kind(
     f'a list of some of {", ".join(map(repr, FORMATS))}', str, (None,), FORMATS.__contains__)
-SPATIAL_POSE = numbers('six numbers [x, y, z, roll, pitch, yaw]', Range(-1e3, 1e3), (6,))
+SPATIAL_POSE = replace(
+    numbers('six numbers [x, y, z, roll, pitch, yaw]', Range(-1e3, 1e3), (6,)), angles=3)
 ANGLE_SIGMA = numbers('a number', Range(1e-5, 1.0))
 LENGTH_SIGMA = numbers('a number', Range(1e-5, 10.0))
 GROWTH = numbers('a number', Range(0.0, 10.0))
@@ -106,6 +107,7 @@ def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> Adapt
     robots = robot_names(values.get('robots', []))
     known = known_parameters(robots)
     checked = checked_values(known_values(values, known, warn, robots), known)
+    warn_of_degrees(checked, known, warn)
     of_robots: dict[str, dict[str, Any]] = {robot: {} for robot in robots}
     for name in [name for name in checked if '.' in name]:
         robot, _, field = name.partition('.')

@@ -8,6 +8,7 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import cache
 import logging
+import math
 import re
 from typing import Any
 
@@ -52,9 +53,11 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     """Return the settings that flat ROS parameters give."""
     values = with_current_names(values, warn)
     robots = _team(values)
-    values = known_values(values, known_parameters(robots), warn, robots)
+    known = known_parameters(robots)
+    checked = checked_values(known_values(values, known, warn, robots), known)
+    warn_of_degrees(checked, known, warn)
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
-    for name, value in checked_values(values, known_parameters(robots)).items():
+    for name, value in checked.items():
         owner, _, field = name.rpartition('.')
         given[owner][field] = value
     of_node = given[''].keys() & parameters_of(NodeSettings)
@@ -129,6 +132,19 @@ def checked_values(
     return {
         name: _checked_value(name, known[name].kind, value)
         for name, value in values.items() if name in known}
+
+
+def warn_of_degrees(
+    values: Mapping[str, Any], known: Mapping[str, Parameter], warn: Warn
+) -> None:
+    """Warn of angles in checked values that exceed a turn: they are probably in degrees."""
+    for name, value in values.items():
+        count = known[name].kind.angles
+        for angle in value[-count:] if count else ():
+            if abs(angle) > math.tau:
+                warn(
+                    f'parameter {name!r} has an angle of {angle:g} rad, more than a turn: if it is'
+                    f' in degrees, write {math.radians(angle):.4f}')
 
 
 def unknown_parameter(

@@ -11,6 +11,7 @@ import pytest
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import known_parameters, parse, RENAMED_PARAMETERS
+from fej_slam_ros.ros.parameters.adapter_settings import parse_adapter
 from fej_slam_ros.ros.parameters.parsing import warn_once
 
 
@@ -214,6 +215,33 @@ def test_a_value_is_shown_by_its_beginning(value):
         parse({'robots': ['r1'], 'max_delay': value})
 
     assert len(str(error.value)) < 1000
+
+
+@pytest.mark.parametrize(('name', 'pose'), [
+    ('anchor_pose', [90.0, 90.0, -90.0]), ('r2.start_pose', [90.0, 90.0, -90.0]),
+    ('r1.sensor_pose', [90.0, 90.0, -90.0])])
+def test_an_angle_in_degrees_is_a_warning_with_its_value_in_radians(name, pose):
+    warnings = []
+    in_degrees = {'robots': ['r1', 'r2'], name: pose}
+
+    parse(in_degrees, warnings.append)
+
+    sentence, = warnings
+    assert sentence.startswith(f'parameter {name!r} has an angle of -90 rad, more than a turn')
+    assert sentence.endswith(' write -1.5708')
+
+
+def test_each_angle_of_a_camera_in_degrees_is_a_warning():
+    warnings = []
+
+    parse_adapter(
+        {'robots': ['r1'], 'r1.sensor_pose': [7.0, 7.0, 7.0, -90.0, 0.0, -45.0]}, warnings.append)
+
+    assert [sentence[-7:] for sentence in warnings] == ['-1.5708', '-0.7854']
+
+
+def test_angles_up_to_a_turn_are_no_warning():
+    parse({'robots': ['r1'], 'anchor_pose': [0.0, 0.0, math.tau]}, pytest.fail)
 
 
 def test_thousands_of_unknown_parameters_are_a_few_warnings():
