@@ -36,14 +36,16 @@ class Player:
     latched : topics whose last message is kept for late subscribers
     rate : seconds of message time per second of real time
     clock : whether to publish the message time on ``/clock``
+    no_wait : what the user gives to begin without subscribers
 
     """
 
     def __init__(
         self, node: Node, types: Mapping[str, str], latched: Collection[str] = (),
-        rate: float = 1.0, clock: bool = False,
+        rate: float = 1.0, clock: bool = False, no_wait: str = '--no-wait',
     ) -> None:
         self._node = node
+        self._no_wait = no_wait
         self._executor = EventsExecutor()
         self._executor.add_node(node)
         self._answered_at = 0.0
@@ -66,7 +68,9 @@ class Player:
             if stopped.is_set():
                 return
             if monotonic() > remind_at:
-                self._node.get_logger().info(f'waiting for subscribers of {", ".join(missing)}')
+                self._node.get_logger().info(
+                    f'waiting for subscribers of {", ".join(missing)}; to begin without them, give'
+                    f' {self._no_wait}')
                 remind_at += REMINDER_PERIOD
         self._spin(monotonic() + DISCOVERY_WAIT, stopped)
 

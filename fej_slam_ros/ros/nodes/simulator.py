@@ -29,7 +29,8 @@ def main(ros_args: Sequence[str]) -> int:
         node = SimulatorNode()
         simulated = node.simulated
         player = Player(
-            node, _topic_types(simulated), [TRUE_LANDMARKS], simulated.speed, simulated.clock)
+            node, _topic_types(simulated), [TRUE_LANDMARKS], simulated.speed, simulated.clock,
+            'wait: false')
         messages = simulated_input.messages(
             simulated, None if node.has_simulated_time else node.now)
         return player.run(messages, simulated.wait, stopped)

@@ -82,6 +82,18 @@ def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):
     assert next(ticks) > 3
 
 
+def test_a_topic_without_subscriber_is_named_with_the_way_to_begin_without(
+        node, monkeypatch, capfd):
+    monkeypatch.setattr(player, 'REMINDER_PERIOD', 0.0)
+    waiting = player.Player(node, {'imu': ODOMETRY})
+    with process.Stop() as stopped:
+        node.create_timer(0.1, stopped.set)
+        waiting.wait_for_subscribers(stopped)
+
+    assert 'waiting for subscribers of imu; to begin without them, give --no-wait' in (
+        capfd.readouterr().err)
+
+
 def test_the_node_spins_even_if_playback_is_too_slow_to_wait(node):
     message = raw('r1/odom', odometry_message(), received_ms=0)
     playing = player.Player(node, {'r1/odom': message.type_name})
