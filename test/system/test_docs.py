@@ -86,7 +86,7 @@ NOT_RUN = {
 }
 #: A fenced block: the file name to save it as, its language, its lines.
 FENCE = re.compile(
-    r'(?:Save as `([\w.]+)`:\n\n)?^```(\w*)\n(.*?)^```$', re.DOTALL | re.MULTILINE)
+    r'(?:[Ss]ave as `([\w.]+)`:\n\n)?^```(\w*)\n(.*?)^```$', re.DOTALL | re.MULTILINE)
 #: Verbs that run until a signal ends them; `play` waits for subscribers, which have ended.
 RUNNING = *NODES, 'play', 'view'
 #: Options that make a command take seconds.
