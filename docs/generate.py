@@ -189,8 +189,8 @@ floats. `ros2 param describe` shows help, unit and range. A parameter of an unkn
 warning with the nearest name, or with `strict_parameters` an error.
 
 Parameters marked *yes* below can change while the estimator runs, the others are read when it
-starts, see [ros.md](ros.md#parameters-at-run-time). In the smoother, only the parameters of its
-node can change.
+starts, see [ros.md](ros.md#parameters-at-run-time). In the smoother, only `robots` and the
+parameters of its node can change.
 
 ## Estimation, estimator and smoother
 
@@ -231,7 +231,7 @@ With `peers`, there is no central node, see [csam.md](csam.md). By default, the 
 `<robot>/robots` clouds are then their positions in the sorted names of `robots` and `peers`. The
 estimator ignores these.
 
-{_parameter_table({n: p for n, p in smoother.items() if n not in estimator})}
+{_parameter_table({n: p for n, p in smoother.items() if n in of_node and n not in estimator})}
 
 ## Node, estimator only
 
