@@ -78,7 +78,12 @@ def check_for_ros(path: Path) -> None:
 
 def dump(settings: RunSettings) -> str:
     """Return the settings as a ROS parameter file for any node."""
-    return dump_values(as_parameters(settings))
+    values = as_parameters(settings)
+    # A value of the team that is changed in the file must hold for the robots that have none.
+    own = {
+        name: value for name, value in values.items()
+        if '.' not in name or value != values.get(name.partition('.')[2])}
+    return dump_values(own)
 
 
 def dump_values(values: Mapping[str, object]) -> str:

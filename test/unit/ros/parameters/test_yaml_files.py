@@ -137,6 +137,14 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path):
         load(path)
 
 
+def test_noise_of_the_team_that_is_changed_in_a_dumped_file_is_that_of_its_robots(file):
+    text = dump(parse({'robots': ['r1', 'r2'], 'r2.landmark_noise_scale': 4.0}))
+
+    changed = load(file(text.replace(' landmark_noise_scale: 1.0', ' landmark_noise_scale: 3.0')))
+
+    assert [r.landmark_noise_scale for r in changed.estimation.robots] == [3.0, 4.0]
+
+
 @pytest.mark.ros
 def test_ros_reads_a_dumped_file_as_the_same_settings(file, ros_values):
     settings = parse(
