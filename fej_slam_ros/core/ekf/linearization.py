@@ -9,7 +9,7 @@ transport of the covariance after an update, for error coordinates that depend o
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,31 +32,55 @@ TwoArrays = tuple[Array, Array]
 MAX_HEADING_DRIFT = 0.1
 
 
-class Linearization(Protocol):
-    """Interface between the filter and a policy."""
+class Linearization:
+    """
+    Interface between the filter and a policy; by default, Jacobians are taken at the estimate.
 
-    needs_truth: ClassVar[bool]  #: whether it reads the ground truth, so that landmarks need IDs
-    default_iterations: ClassVar[int]  #: Gauss-Newton iterations; 1 is the EKF of the paper
-    supports_submaps: ClassVar[bool]  #: whether it corrects no state outside the active submap
+    Parameters
+    ----------
+    truth : ground truth, which is read only if `needs_truth`
+
+    """
+
+    needs_truth: ClassVar[bool] = False  #: whether it reads ground truth, which needs landmark IDs
+    default_iterations: ClassVar[int] = 1  #: Gauss-Newton iterations; 1 is the EKF of the paper
+    supports_submaps: ClassVar[bool] = True  #: whether no state outside the submap is corrected
     #: standard deviation [rad] of a robot's turn by odometry alone up to which it is linearised
-    max_turn_sigma: ClassVar[float]
+    max_turn_sigma: ClassVar[float] = MAX_LINEAR_HEADING_SIGMA
+
+    def __init__(self, truth: Truth | None = None) -> None:
+        """Construct the policy."""
 
     def motion_points(
         self, state: JointState, robot: Robot, x_pred: Array, stamp: int
     ) -> TwoArrays:
-        """Return the poses (3,) between which Phi is taken, of a robot about to move to x_pred."""
+        """
+        Return the poses (3,) between which Phi is taken, of a robot about to move to x_pred.
+
+        By default x_{k|k} and x_{k+1|k}, eq. (5).
+
+        """
+        return self._value(state, robot), x_pred
 
     def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
-        """Return b (2,) of F = [I, J b] for a variable initialized by the robot at point (2,)."""
+        """
+        Return b (2,) of F = [I, J b] for a variable initialized by the robot at point (2,).
+
+        By default C(phi) z; the first estimate of the new variable is the point itself.
+
+        """
+        difference: Array = point - self._value(state, robot)[:2]
+        return difference
 
     def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
         """Return the poses and points, (m, 5), at which m observations are linearised."""
+        return state.estimates_of(variables.columns)
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """
-        Return the points at which the step-0 covariance is linearised.
+        Return the points at which the step-0 covariance is linearised, by default the solution.
 
         Parameters
         ----------
@@ -65,6 +89,7 @@ class Linearization(Protocol):
         stamp : time of step 0 [ns]
 
         """
+        return poses, points
 
     def joining_points(
         self, state: JointState, shared: Variables, new: Variables, carried: Array
@@ -85,64 +110,17 @@ class Linearization(Protocol):
             Stacked values of the shared and of the new variables.
 
         """
-
-    def retract(self, state: JointState, x: Array, dx: Array) -> Array:
-        """Return a joint estimate x (n,) corrected by dx (n,)."""
-
-    def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
-        """Note which observations an update has used."""
-
-    def transport(self, state: JointState, x_prior: Array) -> Transport | None:
-        """Return A that maps errors at x_prior (n,) to errors at x_hat; None for A = I."""
-
-
-class Standard:
-    """The standard EKF: every Jacobian at the current estimate, eqs. (5), (10) and (11)."""
-
-    needs_truth: ClassVar[bool] = False
-    default_iterations: ClassVar[int] = 1
-    supports_submaps: ClassVar[bool] = True
-    max_turn_sigma: ClassVar[float] = MAX_LINEAR_HEADING_SIGMA
-
-    def __init__(self, truth: Truth | None = None) -> None:
-        """Construct the policy; the ground truth is read only if `needs_truth`."""
-
-    def motion_points(
-        self, state: JointState, robot: Robot, x_pred: Array, stamp: int
-    ) -> TwoArrays:
-        """Return x_{k|k} and x_{k+1|k}, eq. (5)."""
-        return self._value(state, robot), x_pred
-
-    def offset(self, state: JointState, robot: Robot, key: PointKey, point: Array) -> Array:
-        """Return C(phi) z; the first estimate of the new variable is the point itself."""
-        difference: Array = point - self._value(state, robot)[:2]
-        return difference
-
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
-        """Return the current estimates."""
-        return state.estimates_of(variables.columns)
-
-    def initialization_points(
-        self, state: JointState, poses: Poses, points: Points, stamp: int
-    ) -> tuple[Poses, Points]:
-        """Return the solution itself."""
-        return poses, points
-
-    def joining_points(
-        self, state: JointState, shared: Variables, new: Variables, carried: Array
-    ) -> TwoArrays:
-        """Return the values of the shared variables and the given estimates of the new ones."""
         return np.concatenate([self._value(state, variable) for variable in shared]), carried
 
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
-        """Return x + dx with wrapped headings."""
+        """Return a joint estimate x (n,) corrected by dx (n,), with wrapped headings."""
         return KERNEL.retracted(x, dx, state.headings())
 
     def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
-        """Do nothing: plain error coordinates do not depend on observers."""
+        """Note which observations an update has used, if error coordinates depend on them."""
 
     def transport(self, state: JointState, x_prior: Array) -> Transport | None:
-        """Return None: plain error coordinates do not depend on the estimate."""
+        """Return A that maps errors at x_prior (n,) to errors at x_hat; None for A = I."""
         return None
 
     def _value(self, state: JointState, variable: Variable) -> Array:
@@ -159,7 +137,11 @@ class Standard:
         return poses | known_poses, points | known
 
 
-class FirstEstimates(Standard):
+class Standard(Linearization):
+    """The standard EKF: every Jacobian at the current estimate, eqs. (5), (10) and (11)."""
+
+
+class FirstEstimates(Linearization):
     """
     FEJ: every Jacobian at first estimates, eqs. (23), (24), so that rank(M) = 3N + 2n - 3.
 
@@ -184,7 +166,7 @@ class FirstEstimates(Standard):
         return state.first_estimate(variable)
 
 
-class Ideal(Standard):
+class Ideal(Linearization):
     """The ideal EKF: every Jacobian at the truth, eqs. (21) and (22). For simulations only."""
 
     needs_truth = True
@@ -235,7 +217,7 @@ class Ideal(Standard):
         return self._truth.landmark(key)
 
 
-class Invariant(Standard):
+class Invariant(Linearization):
     """
     The EKF with right-invariant errors: unobservable directions independent of the estimate.
 
@@ -303,7 +285,7 @@ class Invariant(Standard):
 
 
 #: Factories of the policies by the value of parameter `filter`, given the ground truth.
-LINEARIZATIONS: Mapping[str, type[Standard]] = {
+LINEARIZATIONS: Mapping[str, type[Linearization]] = {
     'fej': FirstEstimates, 'invariant': Invariant, 'standard': Standard, 'ideal': Ideal}
 
 
