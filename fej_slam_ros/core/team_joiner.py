@@ -117,12 +117,9 @@ class TeamJoiner:
         # The error of the anchor turns the whole map.
         P_map = np.zeros((3, 3)) if anchor is None else team.state.marginal([anchor])
         for name, robot in [*team.robots.items()]:
-            settings = self._groups.robots[name]
-            if settings.start_pose is not None and is_too_uncertain(
-                    team.state.marginal([robot]) - P_map):
-                reason = 'its pose is too uncertain to linearise'
-                self._statistics.count_restart(name, reason)
-                self._groups.restart(settings, stamp, reason)
+            has_start = self._groups.robots[name].start_pose is not None
+            if has_start and is_too_uncertain(team.state.marginal([robot]) - P_map):
+                self._restart(name, stamp, 'its pose is too uncertain to linearise')
 
     def add_rendezvous_points(
         self, scan: RobotScan, is_suspected: Callable[[str], bool]
@@ -179,9 +176,7 @@ class TeamJoiner:
         self._statistics.pose_priors_used[robot] += len(due)
         for prior in due:
             if prior.is_too_uncertain():
-                reason = 'its pose is not known'
-                self._statistics.count_restart(robot, reason)
-                self._groups.restart(self._groups.robots[robot], stamp, reason)
+                self._restart(robot, stamp, 'its pose is not known')
             else:
                 self._groups.place(robot, stamp, prior.pose, prior.P)
         return bool(due)
@@ -272,6 +267,10 @@ class TeamJoiner:
         else:
             self._groups.mark_joined([robot])
             self._groups.rename(group)
+
+    def _restart(self, robot: str, stamp: int, reason: str) -> None:
+        self._statistics.count_restart(robot, reason)
+        self._groups.restart(self._groups.robots[robot], stamp, reason)
 
     def _reject(
         self, key: RendezvousKey, reason: RejectionReason, d2: float | None = None,
