@@ -32,7 +32,8 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
-from fej_slam_ros.core.new_landmarks import MAX_NEW_WITHOUT_ID, start_landmarks
+from fej_slam_ros.core.new_landmarks import (
+    MAX_NEW_WITHOUT_ID, room_for_landmarks, start_landmarks)
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.quarantine import Quarantine
@@ -326,10 +327,9 @@ class Estimator:
         reason: RejectionReason = RejectionReason.MAP_FULL,
     ) -> list[Association]:
         """Start at most some new landmarks, and reject the others for a reason."""
-        room = self.settings.max_landmarks - sum(
-            len(state.landmarks) for state in self.groups.states())
+        room = room_for_landmarks(self.groups.states(), self.settings.max_landmarks)
         if room < most:
-            most, reason = max(room, 0), RejectionReason.MAP_FULL
+            most, reason = room, RejectionReason.MAP_FULL
         return start_landmarks(group.filter, scan, most, reason, self.statistics)
 
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:

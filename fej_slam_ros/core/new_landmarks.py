@@ -2,11 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Landmarks that a scan starts: a limited number, each observation left out with a reason."""
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import replace
 
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Association
+from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.pieces import must_end
 from fej_slam_ros.core.records import Observation, Scan
@@ -15,6 +16,11 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 #: Maximum number of landmarks that observations without ID of a scan start, so that the clutter of
 #: one robot, which is deleted after 20 scans, does not fill a map of the default size.
 MAX_NEW_WITHOUT_ID = 100
+
+
+def room_for_landmarks(states: Iterable[JointState], limit: int) -> int:
+    """Return how many more landmarks the states may have together, up to a limit."""
+    return max(limit - sum(len(state.landmarks) for state in states), 0)
 
 
 def start_landmarks(

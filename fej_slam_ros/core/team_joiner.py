@@ -22,6 +22,7 @@ from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, I
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
+from fej_slam_ros.core.new_landmarks import room_for_landmarks
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.pieces import EndedError
@@ -90,12 +91,11 @@ class TeamJoiner:
                 (team.filter.landmark_key(scan.robot, observation.id), observation)
                 for observation in scan.observations if observation.id != NO_ID]
             for scan in step.scans}
-        room = self._settings.max_landmarks - sum(
-            len(state.landmarks) for state in self._groups.states())
         try:
             state = initialize(
                 team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
-                START_COVARIANCES[self._settings.start_covariance], max(room, 0))
+                START_COVARIANCES[self._settings.start_covariance],
+                room_for_landmarks(self._groups.states(), self._settings.max_landmarks))
         except (InitialAlignmentError, EndedError):
             self._restart_uncertain(step.stamp)
             return ()
