@@ -145,10 +145,7 @@ def _odometry_errors(
             if not truth.covers(earlier.robot, earlier.stamp):
                 continue
             begin, x, P = earlier, np.zeros(3), np.zeros((3, 3))
-        u, Q = increment(earlier, later, settings)
-        G = models.G(x[2])
-        Phi = models.Phi(G[:2, :2] @ u[:2])
-        x, P = compose(x, u), Phi @ P @ Phi.T + G @ Q @ G.T
+        x, P = models.composed_increment(x, P, *increment(earlier, later, settings))
         if later.stamp - begin.stamp >= ERROR_WINDOW and truth.covers(
                 later.robot, later.stamp):
             if is_definite(P):

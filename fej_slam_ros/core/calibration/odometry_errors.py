@@ -93,11 +93,11 @@ def fit_to_truth(
     firsts, lasts = np.array(stamps, np.int64).T
     (_, before), (_, after) = (
         truth.find_all(odometry[0].robot, times.tolist()) for times in (firsts, lasts))
-    true = _motions(before, after)
+    true = models.h_pose(before, after)
 
     def errors(values: Array) -> Array:
         moved = corrected_trajectory(known, poses, values)
-        e = pose_error(true, _motions(*(
+        e = pose_error(true, models.h_pose(*(
             poses_at(times, known, moved) for times in (firsts, lasts))))
         # In the measure of odometry: its noise would otherwise be least with the scale 0.
         scaled: Array = e / values[[0, 0, 1]]
@@ -145,7 +145,7 @@ def fit_to_landmarks(
 def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array) -> Array:
     """Return the odometry poses (n, 3) at stamps (n,) [ns] without errors (3,)."""
     distance, turn, bias = values
-    ahead, left, turned = _motions(poses[:-1], poses[1:]).T
+    ahead, left, turned = models.h_pose(poses[:-1], poses[1:]).T
     turns = turn * turned - bias * np.diff(stamps) / NS
     headings = poses[0, 2] + np.append(0.0, np.cumsum(turns))
     c, s = np.cos(headings[:-1]), np.sin(headings[:-1])
@@ -153,12 +153,6 @@ def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array)
         start + distance * np.append(0.0, np.cumsum(steps)) for start, steps in (
             (poses[0, 0], c * ahead - s * left), (poses[0, 1], s * ahead + c * left)))
     return np.column_stack([x, y, wrap_all(headings)])
-
-
-def _motions(before: Array, after: Array) -> Array:
-    """Return the motions (n, 3) between poses (n, 3), each in the frame of the first."""
-    return np.column_stack([
-        models.h(before, after[:, :2]), wrap_all(after[:, 2] - before[:, 2])])
 
 
 def _significant(
