@@ -15,10 +15,10 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
-from fej_slam_ros.core.data_association.failure_detection import (
-    MOVED_LANDMARKS, remove_contradicted, update_trust)
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
+from fej_slam_ros.core.data_association.wrong_landmarks import (
+    MOVED_LANDMARKS, remove_contradicted, update_trust)
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
@@ -334,14 +334,14 @@ class Estimator:
 
     def _account(self, group: FrameGroup, stamp: int, innovation: Innovation) -> None:
         """Record the statistics, moved landmarks and rejected observations of an update."""
-        scans = innovation.scan_gate_statistics()
-        self.innovations.add(stamp, innovation, scans)
+        scan_statistics = innovation.scan_gate_statistics()
+        self.innovations.add(stamp, innovation, scan_statistics)
         for started in (
-            *update_trust(group.state, innovation, scans, stamp),
-            *remove_contradicted(group.state, innovation, scans),
+            *update_trust(group.state, innovation, scan_statistics, stamp),
+            *remove_contradicted(group.state, innovation, scan_statistics),
         ):
             self.statistics.reject_observation(started)
-        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scans)
+        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scan_statistics)
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
         for gated in innovation.rejected:

@@ -5,8 +5,9 @@
 from dataclasses import dataclass, field
 
 from fej_slam_ros.core.consistency import NisMonitor
-from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector, Scans
+from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
 from fej_slam_ros.core.ekf.filter import Innovation
+from fej_slam_ros.core.ekf.gating import StatisticsByRobot
 
 
 @dataclass(eq=False)
@@ -17,9 +18,9 @@ class InnovationMonitor:
     log_likelihood: float = 0.0  #: log-likelihood of all innovations, up to a constant
     lost_robots: LostRobotDetector = field(default_factory=LostRobotDetector)
 
-    def add(self, stamp: int, innovation: Innovation, scans: Scans) -> None:
+    def add(self, stamp: int, innovation: Innovation, statistics: StatisticsByRobot) -> None:
         """Add the innovation of one update at a stamp [ns], and its `scan_gate_statistics`."""
         for robot, values in innovation.nis().items():
             self.nis[robot].add(stamp, values)
         self.log_likelihood += innovation.log_likelihood()
-        self.lost_robots.add(scans)
+        self.lost_robots.add(statistics)

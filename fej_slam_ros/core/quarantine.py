@@ -11,9 +11,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 import math
 
-from fej_slam_ros.core.data_association.failure_detection import (
-    LostRobotDetector, remove_untrusted)
+from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan
+from fej_slam_ros.core.data_association.wrong_landmarks import remove_untrusted
 from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups

@@ -1,19 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""
-Detection of lost robots and moved landmarks from observations that fail the gate.
+"""Detection of lost robots: most of their scans fail the gate."""
 
-If most of a scan fails, the robot's pose is suspected; if one landmark fails again and again among
-others that pass, the landmark.
-"""
+from collections.abc import Container
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-
-from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import Association, CONTRADICTION_D2, ScanGateStatistics
-from fej_slam_ros.core.ekf.state import JointState, Landmark, MovedLandmarkEvidence, Robot
-from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.ekf.gating import ScanGateStatistics, StatisticsByRobot
 
 #: Number of consecutive scans that mostly failed after which a robot counts as lost.
 LOST_AFTER = 3
@@ -28,12 +19,6 @@ MAX_INCONCLUSIVE = 10
 
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
 PROBATION = 20
-
-#: Minimum number of other landmarks in a scan by which the robot's pose is checked.
-MIN_OTHERS = 2
-
-#: The gate's results on the scans of an update, by robot.
-Scans = Mapping[str, ScanGateStatistics]
 
 
 class LostRobotDetector:
@@ -52,9 +37,9 @@ class LostRobotDetector:
         self._restarted: dict[str, str] = {}
         self._probation: dict[str, int] = {}
 
-    def add(self, scans: Scans) -> None:
+    def add(self, statistics: StatisticsByRobot) -> None:
         """Add the scans of one update."""
-        for robot, scan in scans.items():
+        for robot, scan in statistics.items():
             if scan.mostly_failed():
                 self._failed.setdefault(robot, []).append(scan)
                 del self._failed[robot][:-MAX_FAILED_SCANS]
@@ -125,120 +110,3 @@ class LostRobotDetector:
             self._probation[robot] -= 1
             if not self._probation[robot]:
                 del self._probation[robot]
-
-
-def update_trust(
-    state: JointState, innovation: Innovation, scans: Scans, stamp: int
-) -> list[Rejection]:
-    """
-    Trust the landmarks of scans that confirm the robot's pose; remove what other scans started.
-
-    A robot that is not where it is estimated starts landmarks that fit its pose and nothing else.
-    They are not trusted, for they were never observed together with landmarks that are. Returns
-    the observations that started what is removed as rejected.
-
-    """
-    confirmed = {name for name, scan in scans.items() if scan.confirms_pose()}
-    for a in innovation.used:
-        if isinstance(a.observed, Landmark):
-            a.observed.is_reobserved = True
-            if a.observer.name in confirmed:
-                a.observed.is_trusted = True
-    suspected = [name for name, scan in scans.items() if scan.mostly_failed()]
-    started = [
-        landmark for landmark in state.landmarks.values()
-        if landmark.owner in suspected and landmark.created == stamp] if suspected else []
-    state.remove_all(started)
-    return [
-        Rejection(landmark.owner, stamp, RejectionReason.LOST_ROBOT, id=landmark.key[1])
-        for landmark in started]
-
-
-def remove_contradicted(
-    state: JointState, innovation: Innovation, scans: Scans
-) -> list[Rejection]:
-    """
-    Remove landmarks whose second observation contradicts the first; return that as rejected.
-
-    One of the two is wrong, such as a misread tag. The next observation starts the landmark again.
-
-    """
-    contradicted: dict[LandmarkKey, Landmark] = {}
-    for gated in innovation.rejected:
-        observer, observed, _ = gated.association
-        is_robot_suspected = observer.name in scans and scans[observer.name].mostly_failed()
-        if (isinstance(observed, Landmark) and not observed.is_reobserved
-                and gated.d2 > CONTRADICTION_D2 and not is_robot_suspected
-                and observed.key in state.landmarks):
-            contradicted[observed.key] = observed
-    state.remove_all([*contradicted.values()])
-    return [
-        Rejection(landmark.owner, landmark.created, RejectionReason.GATED, id=landmark.key[1])
-        for landmark in contradicted.values()]
-
-
-def remove_untrusted(state: JointState, robot: str) -> None:
-    """Remove the landmarks that a lost robot has started and nothing confirms."""
-    state.remove_all([
-        landmark for landmark in state.landmarks.values()
-        if landmark.owner == robot and not landmark.is_trusted])
-
-
-def ignore(state: JointState, innovation: Innovation, scans: Scans) -> None:
-    """Do not look for moved landmarks."""
-
-
-def report(state: JointState, innovation: Innovation, scans: Scans) -> None:
-    """Collect evidence for each landmark until one of its observations passes the gate."""
-    failed = {name for name, scan in scans.items() if scan.mostly_failed()}
-    for a in innovation.used:
-        if a.observer.name not in failed and isinstance(a.observed, Landmark):
-            a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
-    if not innovation.rejected:
-        return
-    passed = _of_landmarks(a for a in innovation.used if a.observer.name not in failed)
-    rejected = _of_landmarks(gated.association for gated in innovation.rejected)
-    suspects = _of_landmarks(
-        gated.association for gated in innovation.rejected if gated.d2 > CONTRADICTION_D2)
-    for robot, landmark in suspects:
-        if _pose_is_confirmed(robot, landmark, passed, rejected):
-            landmark.moved_evidence = landmark.moved_evidence or MovedLandmarkEvidence()
-            landmark.moved_evidence.add(robot.name, state.estimate(robot)[:2])
-
-
-def forget(state: JointState, innovation: Innovation, scans: Scans) -> None:
-    """Remove moved landmarks, so that the next observation starts them at their new position."""
-    report(state, innovation, scans)
-    moved = {
-        landmark.key: landmark
-        for _, landmark in _of_landmarks(gated.association for gated in innovation.rejected)
-        if landmark.was_moved() and landmark.key in state.landmarks}
-    state.remove_all([*moved.values()])
-
-
-#: The values of parameter `moved_landmarks`.
-MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation, Scans], None]] = {
-    'report': report, 'forget': forget, 'ignore': ignore}
-
-
-def _of_landmarks(associations: Iterable[Association]) -> list[tuple[Robot, Landmark]]:
-    """Return the observers with the landmarks that they observed."""
-    return [(a.observer, a.observed) for a in associations if isinstance(a.observed, Landmark)]
-
-
-def _pose_is_confirmed(
-    robot: Robot, landmark: Landmark, passed: Sequence[tuple[Robot, Landmark]],
-    rejected: Sequence[tuple[Robot, Landmark]],
-) -> bool:
-    """
-    Return whether most other landmarks of the scan confirm the robot's pose.
-
-    Only landmarks older than the last accepted observation of this one count: those that the robot
-    started since then share the error of its pose.
-
-    """
-    right, wrong = (
-        sum(observer is robot and other is not landmark and other.created <= landmark.last_accepted
-            for observer, other in some)
-        for some in (passed, rejected))
-    return right + wrong >= MIN_OTHERS and right > wrong

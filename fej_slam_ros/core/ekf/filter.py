@@ -21,7 +21,7 @@ from fej_slam_ros.core.ekf.compressed_covariance import reserve
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
-    ScanGateStatistics)
+    StatisticsByRobot)
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
@@ -55,7 +55,7 @@ class Innovation(NamedTuple):
             rejected=[*gated.rejected, *self.rejected],
             inflated=[*gated.inflated, *self.inflated])
 
-    def scan_gate_statistics(self) -> dict[str, ScanGateStatistics]:
+    def scan_gate_statistics(self) -> StatisticsByRobot:
         """Return the gate's result on the landmarks of each robot's scan."""
         inflated = {gated.association for gated in self.inflated}
         return scan_gate_statistics([

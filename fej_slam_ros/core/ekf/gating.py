@@ -3,7 +3,7 @@
 """The gate: acceptance test of each observation by its innovation."""
 
 from collections import defaultdict
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -113,9 +113,11 @@ class ScanGateStatistics:
         return self.trusted >= MIN_TRUSTED and 2 * self.trusted_failed < self.trusted
 
 
-def scan_gate_statistics(
-    results: Iterable[tuple[Association, bool]]
-) -> dict[str, ScanGateStatistics]:
+#: The gate's results on the scans of an update, by robot.
+StatisticsByRobot = Mapping[str, ScanGateStatistics]
+
+
+def scan_gate_statistics(results: Iterable[tuple[Association, bool]]) -> StatisticsByRobot:
     """Return the statistics of each robot's scan from observations and whether they failed."""
     statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
     for a, failed in results:

@@ -6,7 +6,7 @@ from dataclasses import fields, MISSING
 
 import pytest
 
-from fej_slam_ros.core.data_association.failure_detection import MOVED_LANDMARKS
+from fej_slam_ros.core.data_association.wrong_landmarks import MOVED_LANDMARKS
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.joining.initialization import START_COVARIANCES
 from fej_slam_ros.core.parameter_kinds import one_of, parameters_of
