@@ -39,7 +39,7 @@ class FrameFit:
     dof: int  #: degrees of freedom of chi2
     shared: Variables  #: variables of the conditions
     r: Array  #: (k,) array, residuals
-    S: tuple[Array, bool]  #: Cholesky factor of their covariance, as of `cho_factor`
+    S_factor: tuple[Array, bool]  #: Cholesky factor of their covariance, as of `cho_factor`
     D: Array  #: (k, 3) array, Jacobian of the conditions with respect to g
 
     def heading_sigma(self) -> float:
@@ -48,7 +48,7 @@ class FrameFit:
 
     def worst_rendezvous_point(self) -> tuple[RendezvousKey | None, float]:
         """Return the rendezvous point without which chi2 is least, and the decrease of chi2."""
-        weight = cho_solve(self.S, np.eye(len(self.r)))
+        weight = cho_solve(self.S_factor, np.eye(len(self.r)))
         weight -= weight @ self.D @ self.P @ self.D.T @ weight
         weighted = weight @ self.r
         worst, largest, start = None, 0.0, 0
@@ -103,14 +103,14 @@ def fit(
         x_carried = carried(g, x_L, ours)
         D = derivative(g, x_carried, ours)
         r = difference(x_T, x_carried, ours)
-        S = cho_factor(P_T + turned(g, turned(g, P_L, ours).T, ours), lower=True)
-        information = D.T @ cho_solve(S, D)
-        dg = np.linalg.solve(information, D.T @ cho_solve(S, r))
+        S_factor = cho_factor(P_T + turned(g, turned(g, P_L, ours).T, ours), lower=True)
+        information = D.T @ cho_solve(S_factor, D)
+        dg = np.linalg.solve(information, D.T @ cho_solve(S_factor, r))
         g = poses_plus(g[None], dg)[0]
         if np.abs(dg).max() < FIT_TOLERANCE:
             break
     P = cho_solve(cho_factor(information), np.eye(3))
-    return FrameFit(g, P, float(r @ cho_solve(S, r)), len(r) - 3, ours, r, S, D)
+    return FrameFit(g, P, float(r @ cho_solve(S_factor, r)), len(r) - 3, ours, r, S_factor, D)
 
 
 def _closed_form(x_T: Array, x_L: Array, shared: Variables) -> Array:

@@ -74,7 +74,7 @@ def _increases_of_chi2(
         found.pose, turned(found.pose, group.marginal(theirs), ours).T, ours)
     r = difference(team.estimates_of(indices(ours)), at, ours)
     of_fit, rest = slice(len(found.r)), slice(len(found.r), None)
-    K = cho_solve(found.S, S[of_fit, rest]).T
+    K = cho_solve(found.S_factor, S[of_fit, rest]).T
     e, D_e = r[rest] - K @ found.r, D[rest] - K @ found.D
     S_e = S[rest, rest] - K @ S[of_fit, rest] + D_e @ found.P @ D_e.T
     pairs = (slice(start, start + 2) for start in range(0, len(e), 2))
