@@ -5,13 +5,12 @@
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-import math
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf
 
 from fej_slam_ros.core.chi_square import chi_square_band
-from fej_slam_ros.core.geometry import Array, Flags, wrap_all
+from fej_slam_ros.core.definiteness import are_definite
+from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 
 #: Number of latest observations of a robot in its NIS, and the probability with which the NIS of a
@@ -24,9 +23,6 @@ MAX_UNSCORED = 1000
 
 #: Number of poses that are scored together.
 SCORED_TOGETHER = 100
-
-#: Smallest eigenvalue of a correlation matrix that counts as regular, well above rounding.
-MIN_CORRELATION_EIGENVALUE = 1e-12
 
 
 def nees(errors: Array, P: Array) -> Array:
@@ -129,34 +125,6 @@ class PoseScore:
     def mean_nees_per_dof(self) -> float | None:
         """Return the mean of NEES/3 over the steps; None without any definite covariance."""
         return self._nees_per_dof / self.with_nees if self.with_nees else None
-
-
-def is_definite(P: Array) -> bool:
-    """Return whether P is positive definite beyond rounding, independent of its units."""
-    if np.count_nonzero(P) == len(P):
-        # If there are no zeros on the diagonal, all others are zero: usual in odometry.
-        return all(0.0 < variance < math.inf for variance in P.diagonal().tolist())
-    L, info = dpotrf(P, lower=1)
-    # The determinant of the correlation matrix is at most e times its smallest eigenvalue.
-    ratios = zip(L.diagonal().tolist(), P.diagonal().tolist())
-    if info == 0 and math.prod(a * a / b for a, b in ratios) > math.e * MIN_CORRELATION_EIGENVALUE:
-        return True
-    variances = P.diagonal()
-    if variances.min() <= 0.0:
-        return False
-    sigma = np.sqrt(variances)
-    correlation = P / (sigma[:, None] * sigma) - MIN_CORRELATION_EIGENVALUE * np.eye(len(P))
-    return int(dpotrf(correlation, lower=1)[1]) == 0
-
-
-def are_definite(P: Array) -> Flags:
-    """Return `is_definite` of each of m covariances (m, d, d)."""
-    variances = np.einsum('mii->mi', P)
-    definite: Flags = (variances > 0.0).all(axis=1)
-    sigma = np.sqrt(variances[definite])
-    correlation = P[definite] / (sigma[:, :, None] * sigma[:, None, :])
-    definite[definite] = np.linalg.eigvalsh(correlation)[:, 0] > MIN_CORRELATION_EIGENVALUE
-    return definite
 
 
 class PoseEvaluation:

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.special import chdtr, erf
 
 from fej_slam_ros.core.chi_square import chi_square_band
-from fej_slam_ros.core.consistency import are_definite, nees_per_dof
+from fej_slam_ros.core.consistency import nees_per_dof
+from fej_slam_ros.core.definiteness import are_definite
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 

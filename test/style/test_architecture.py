@@ -41,7 +41,7 @@ class Rule(NamedTuple):
 BASIC = (
     'numpy scipy fej_slam_ros.errors '
     + ' '.join(f'fej_slam_ros.core.{module}' for module in (
-        'chi_square', 'consistency', 'estimates', 'frame_names', 'gauss_newton',
+        'chi_square', 'consistency', 'definiteness', 'estimates', 'frame_names', 'gauss_newton',
         'geometry', 'ground_truth', 'join_failure',
         'models', 'motion_models', 'parameter_kinds', 'pieces', 'point_consensus', 'records',
         'rejections', 'settings'))

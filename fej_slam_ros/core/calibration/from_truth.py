@@ -21,7 +21,8 @@ import numpy as np
 from scipy.special import chdtr, chdtri
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.consistency import is_definite, nees, pose_error
+from fej_slam_ros.core.consistency import nees, pose_error
+from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.geometry import Array, between, compose, interpolated
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment

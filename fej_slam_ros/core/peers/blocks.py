@@ -16,7 +16,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.consistency import is_definite
+from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
     AnyScan, NS, Observation, Odometry, RobotObservation, RobotScan, Scan)

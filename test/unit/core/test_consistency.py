@@ -16,8 +16,7 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.consistency import (
-    are_definite, is_definite, nees, nees_per_dof, NisMonitor, pose_error, PoseEvaluation,
-    PoseScore)
+    nees, nees_per_dof, NisMonitor, pose_error, PoseEvaluation, PoseScore)
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import TruePose
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -207,17 +206,6 @@ def test_a_pose_with_a_singular_covariance_has_no_nees():
             np.outer(direction, direction)[None] + rounding * np.eye(3))
 
         assert (score.steps, score.with_nees, score.mean_nees_per_dof()) == (1, 0, None)
-
-
-def test_covariances_are_definite_together_as_each_alone():
-    rng = np.random.default_rng(1)
-    roots = rng.normal(size=(40, 3, 3)) * np.geomspace(1e-9, 1.0, 3)[:, None]
-    roots[10:20, 2] = roots[10:20, 1]
-    P = roots @ roots.transpose(0, 2, 1)
-    P[20:30, 0, 0] = [0.0, -1.0] * 5
-
-    assert are_definite(P).tolist() == [is_definite(block) for block in P]
-    assert are_definite(P).tolist() == 10 * [True] + 20 * [False] + 10 * [True]
 
 
 def test_nees_does_not_depend_on_the_units_of_the_covariance():

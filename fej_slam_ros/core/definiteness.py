@@ -1,0 +1,41 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Definiteness of covariances: positive definite beyond rounding."""
+
+import math
+
+import numpy as np
+from scipy.linalg.lapack import dpotrf
+
+from fej_slam_ros.core.geometry import Array, Flags
+
+#: Smallest eigenvalue of a correlation matrix that counts as regular, well above rounding.
+MIN_CORRELATION_EIGENVALUE = 1e-12
+
+
+def is_definite(P: Array) -> bool:
+    """Return whether P is positive definite beyond rounding, independent of its units."""
+    if np.count_nonzero(P) == len(P):
+        # If there are no zeros on the diagonal, all others are zero: usual in odometry.
+        return all(0.0 < variance < math.inf for variance in P.diagonal().tolist())
+    L, info = dpotrf(P, lower=1)
+    # The determinant of the correlation matrix is at most e times its smallest eigenvalue.
+    ratios = zip(L.diagonal().tolist(), P.diagonal().tolist())
+    if info == 0 and math.prod(a * a / b for a, b in ratios) > math.e * MIN_CORRELATION_EIGENVALUE:
+        return True
+    variances = P.diagonal()
+    if variances.min() <= 0.0:
+        return False
+    sigma = np.sqrt(variances)
+    correlation = P / (sigma[:, None] * sigma) - MIN_CORRELATION_EIGENVALUE * np.eye(len(P))
+    return int(dpotrf(correlation, lower=1)[1]) == 0
+
+
+def are_definite(P: Array) -> Flags:
+    """Return `is_definite` of each of m covariances (m, d, d)."""
+    variances = np.einsum('mii->mi', P)
+    definite: Flags = (variances > 0.0).all(axis=1)
+    sigma = np.sqrt(variances[definite])
+    correlation = P[definite] / (sigma[:, :, None] * sigma[:, None, :])
+    definite[definite] = np.linalg.eigvalsh(correlation)[:, 0] > MIN_CORRELATION_EIGENVALUE
+    return definite

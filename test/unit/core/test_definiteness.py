@@ -1,0 +1,18 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Definiteness of covariances."""
+
+import numpy as np
+
+from fej_slam_ros.core.definiteness import are_definite, is_definite
+
+
+def test_covariances_are_definite_together_as_each_alone():
+    rng = np.random.default_rng(1)
+    roots = rng.normal(size=(40, 3, 3)) * np.geomspace(1e-9, 1.0, 3)[:, None]
+    roots[10:20, 2] = roots[10:20, 1]
+    P = roots @ roots.transpose(0, 2, 1)
+    P[20:30, 0, 0] = [0.0, -1.0] * 5
+
+    assert are_definite(P).tolist() == [is_definite(block) for block in P]
+    assert are_definite(P).tolist() == 10 * [True] + 20 * [False] + 10 * [True]
