@@ -183,7 +183,7 @@ class Step:
     #: odometry poses of the robots of the step, (3,) arrays as in `Odometry`
     odometry: Mapping[str, Array]
     #: robot-to-robot scans among the robots of the step, at most one per robot
-    robot_scans: tuple[RobotScan, ...] = ()
+    robot_scans: tuple[RobotScan, ...]
 
 
 def is_too_uncertain(P: Array) -> bool:

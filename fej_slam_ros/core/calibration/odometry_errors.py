@@ -61,7 +61,7 @@ class OdometryErrors:
 
 
 def fit_to_truth(
-    odometry: Sequence[Odometry], truth: RecordedTruth, given: Array = NO_ERRORS
+    odometry: Sequence[Odometry], truth: RecordedTruth, given: Array
 ) -> OdometryErrors | None:
     """
     Return the errors of the odometry of a robot by its ground truth.
@@ -111,7 +111,7 @@ def fit_to_truth(
 
 
 def fit_to_landmarks(
-    odometry: Sequence[Odometry], scans: Sequence[Scan], given: Array = NO_ERRORS
+    odometry: Sequence[Odometry], scans: Sequence[Scan], given: Array
 ) -> OdometryErrors | None:
     """
     Return the errors of the odometry of a robot, by its observations of landmarks.

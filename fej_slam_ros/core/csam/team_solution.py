@@ -17,7 +17,7 @@ from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_outliers
-from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.rendezvous import JoinRules, RendezvousMeasurement
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import (
@@ -39,9 +39,9 @@ class SmoothingTask:
     anchor: str
     anchor_pose: Array
     P_anchor: Array
-    rules: JoinRules = DEFAULT_RULES  #: conditions for joining
+    rules: JoinRules  #: conditions for joining
     #: probability that no correct observation of a robot is removed; 1.0 keeps all
-    gate_probability: float = 1.0
+    gate_probability: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -27,7 +27,6 @@ from fej_slam_ros.core.peers.union import UnionTask
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
 
@@ -52,7 +51,7 @@ class PeerSmoother(TeamSmoother):
     """
 
     def __init__(
-        self, settings: Settings, robot: str, logs: TeamLogs, solve_every: int = SOLVE_EVERY
+        self, settings: Settings, robot: str, logs: TeamLogs, solve_every: int
     ) -> None:
         own = tuple(member for member in settings.robots if member.name == robot)
         super().__init__(replace(settings, robots=own), solve_every)

@@ -33,8 +33,8 @@ class LogContents:
     """Measurements of a robot as they are kept, which another process can be given quickly."""
 
     author: str  #: name of the robot
-    blocks: Sequence[bytes] = ()  #: the blocks of its log but for the first
-    pending: Sequence[Measurement] = ()  #: further measurements that are not in a block yet
+    blocks: Sequence[bytes]  #: the blocks of its log but for the first
+    pending: Sequence[Measurement]  #: further measurements that are not in a block yet
 
     def measurements(self) -> list[Measurement]:
         """Return the measurements in their order, divided scans as one."""

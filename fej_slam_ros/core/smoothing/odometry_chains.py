@@ -204,7 +204,7 @@ class ReducedChains:
         return np.concatenate(
             [-self.Phi, np.broadcast_to(np.eye(3), self.Phi.shape)], axis=2)
 
-    def correct(self, dx: Array, share: float = 1.0) -> None:
+    def correct(self, dx: Array, share: float) -> None:
         """
         Set the rows of the poses in between of dx (n, 3), which has those of the ends.
 
