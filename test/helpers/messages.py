@@ -10,10 +10,9 @@ from scipy.sparse import csc_array
 
 from fej_slam_ros.core.csam.base_node import RendezvousInformation, square_root_information
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
-from fej_slam_ros.core.geometry import upper_triangular
+from fej_slam_ros.core.geometry import symmetric, upper_triangular
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-from fej_slam_ros.core.smoothing.marginals import Information
 
 
 def received(form, message):
@@ -53,23 +52,15 @@ def read_log(arrays):
 
 
 def read_map(arrays):
-    rendezvous, origin, poses, points, coordinates, *entries = arrays
+    rendezvous, origin, poses, _, coordinates, *entries = arrays
     R_sqrt = csc_array(tuple(entries), shape=(len(coordinates),) * 2)
-    information = Information(
-        (R_sqrt.T @ R_sqrt).tocsc(), coordinates, len(poses), int(points))
     middle = len(rendezvous) // 2
     rows = rendezvous if 0 in rendezvous else np.append(rendezvous, 0)
-    P = information.joint(poses=np.delete(rows, middle).tolist())
+    index = coordinates.tolist().index
+    wanted = [index(3 * pose + k) for pose in np.delete(rows, middle).tolist() for k in range(3)]
+    P = np.linalg.inv((R_sqrt.T @ R_sqrt).toarray())[np.ix_(wanted, wanted)]
     return RendezvousInformation(
         poses[rows], middle, rows.tolist().index(0), origin, square_root_information(P))
 
 
 READERS = {'subset': read_subset, 'log': read_log, 'map': read_map}
-
-
-def symmetric(upper):
-    """Return the matrix (n, n) with the given upper triangle, stacked row by row."""
-    n = int(np.sqrt(2 * len(upper)))
-    full = np.zeros((n, n))
-    full[np.triu_indices(n)] = upper
-    return full + np.triu(full, 1).T

@@ -145,18 +145,14 @@ class Problem:
     odometry: OdometryFactors
     landmarks: LandmarkFactors
     rendezvous: RendezvousFactors = NO_RENDEZVOUS
-    #: fixed_poses, fixed_landmarks: indices of the variables that keep their initial values; each
-    #: group of connected robots needs one such pose
+    #: indices of the poses that keep their initial values, one for each group of connected robots
     fixed_poses: Sequence[int] = (0,)
-    fixed_landmarks: Sequence[int] = ()
     #: what `system` has returned, by the numbers of variables
     _systems: 'dict[tuple[int, int], System]' = field(
         default_factory=dict, init=False, repr=False)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return Problem, (
-            self.odometry, self.landmarks, self.rendezvous, self.fixed_poses,
-            self.fixed_landmarks)
+        return Problem, (self.odometry, self.landmarks, self.rendezvous, self.fixed_poses)
 
     def system(self, x: Values, kept: Sequence[int] = ()) -> 'System':
         """
@@ -291,7 +287,6 @@ class System:
         self._whiteners = [whitener(factors.R) for factors in self._factors]
         free = np.ones(poses + points, bool)
         free[list(problem.fixed_poses)] = False
-        free[poses + np.array(problem.fixed_landmarks, np.intp)] = False
         free[self._chains.eliminated] = False
         links = [factors.nodes(poses) for factors in self._factors]
         if len(self._chains.rows):

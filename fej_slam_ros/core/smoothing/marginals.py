@@ -23,8 +23,8 @@ class Information:
     """
     Information matrix A^T A of poses and landmarks.
 
-    Fixed poses and landmarks are not part of it; their covariance is zero. Neither are the poses
-    within chains of odometry, of which only `marginals` gives the covariance.
+    Fixed poses are not part of it; their covariance is zero. Neither are the poses within chains
+    of odometry, of which only `marginals` gives the covariance.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Information:
 
     def __init__(
         self, matrix: csc_array, coordinates: Indices, poses: int, points: int,
-        chains: ReducedChains | None = None,
+        chains: ReducedChains,
     ) -> None:
         """Factor the matrix; raise SingularError if it does not determine all variables."""
         self.matrix, self.coordinates = matrix, coordinates
@@ -65,7 +65,7 @@ class Information:
         may be within a chain.
 
         """
-        if self._chains is not None and np.isin(poses, self._chains.chains.eliminated).any():
+        if np.isin(poses, self._chains.chains.eliminated).any():
             raise ValueError('a pose was eliminated: keep it in the information')
         wanted = np.concatenate([
             _coordinates(np.array(poses, np.intp), 3),
@@ -87,17 +87,16 @@ class Information:
         nodes, sizes = node_of_row[firsts], np.diff(np.append(firsts, len(node_of_row)))
         first_rows = np.full(self._poses + self._points, -1)
         first_rows[nodes] = firsts
-        ends = _ChainEnds(self._chains, first_rows)
+        ends = _ChainEnds(*self._chains.chains.nodes, first_rows)
         for group in self._factor.inverse_blocks(sizes):
             if group.Z.shape[1] == poses.shape[1]:
                 poses[nodes[group.blocks]] = group.Z
             else:
                 points[nodes[group.blocks] - self._poses] = group.Z
             ends.add(group, firsts[group.blocks])
-        if self._chains is not None:
-            a, b = self._chains.chains.nodes
-            poses[self._chains.chains.eliminated] = self._chains.marginals(
-                poses[a], ends.P_ab, poses[b])
+        a, b = self._chains.chains.nodes
+        poses[self._chains.chains.eliminated] = self._chains.marginals(
+            poses[a], ends.P_ab, poses[b])
         return poses, points
 
 
@@ -111,9 +110,8 @@ class _ChainEnds:
 
     """
 
-    def __init__(self, chains: ReducedChains | None, first_rows: Indices) -> None:
-        """Find the chains between poses whose first rows in the factor are not negative."""
-        a, b = (np.empty((2, 0), np.intp) if chains is None else chains.chains.nodes)
+    def __init__(self, a: Indices, b: Indices, first_rows: Indices) -> None:
+        """Find the chains from poses a to b whose first rows in the factor are not negative."""
         self.P_ab = np.zeros((len(a), 3, 3))
         rows = np.stack([first_rows[a], first_rows[b]])
         wanted = np.flatnonzero((rows >= 0).all(axis=0))
