@@ -21,7 +21,7 @@ from fej_slam_ros.core.estimates import FrameMap
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.ground_truth import LocalTruth, RecordedTruth, Truth
-from fej_slam_ros.core.joining.rendezvous import marginalize, rendezvous_keys_of
+from fej_slam_ros.core.joining.rendezvous_points import marginalize, rendezvous_keys_of
 from fej_slam_ros.core.records import is_too_uncertain, LandmarkKey, Motion, PriorMap
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 

@@ -21,7 +21,7 @@ from fej_slam_ros.core.joining.constellations import any_without_id, with_shared
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner
-from fej_slam_ros.core.joining.rendezvous import add_rendezvous_point, marginalize
+from fej_slam_ros.core.joining.rendezvous_points import add_rendezvous_point, marginalize
 from fej_slam_ros.core.new_landmarks import room_for_landmarks
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors

@@ -13,7 +13,7 @@ from fej_slam_ros.core.ekf.gating import Association, InflatingGate
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose, transform
-from fej_slam_ros.core.joining.rendezvous import MAX_RENDEZVOUS_POINTS
+from fej_slam_ros.core.joining.rendezvous_points import MAX_RENDEZVOUS_POINTS
 from fej_slam_ros.core.records import Observation, PosePrior, RobotObservation
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.snapshot import restore, snapshot

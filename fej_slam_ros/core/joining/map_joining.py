@@ -30,7 +30,7 @@ from fej_slam_ros.core.joining.frame_fit import (
     turned, Variables)
 from fej_slam_ros.core.joining.outlying_landmarks import (
     outlying_landmarks, single_observation_failure)
-from fej_slam_ros.core.joining.rendezvous import marginalize
+from fej_slam_ros.core.joining.rendezvous_points import marginalize
 from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
 

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import MissingTruthError
-from fej_slam_ros.core.joining.rendezvous import MAX_RENDEZVOUS_POINTS
+from fej_slam_ros.core.joining.rendezvous_points import MAX_RENDEZVOUS_POINTS
 from fej_slam_ros.core.records import (
     NS, Odometry, PosePrior, RendezvousKey, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
