@@ -16,7 +16,7 @@ from itertools import combinations
 import numpy as np
 
 from fej_slam_ros.core.csam.base_node import BaseNode
-from fej_slam_ros.core.csam.rendezvous import JoinRules
+from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.geometry import wrap_all
 
 #: Number of rendezvous of which the largest set is found: each needs the information of both maps.

@@ -16,9 +16,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from fej_slam_ros.core.chi_square import own_blocks, squared_distances
+from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import (
-    Failed, JoinRules, Measurements, outlier_report, Rendezvous, without_few_outliers)
+    Failed, Measurements, outlier_report, Rendezvous, without_few_outliers)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure

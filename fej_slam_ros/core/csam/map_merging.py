@@ -19,13 +19,14 @@ import numpy as np
 from fej_slam_ros.core.csam.agreement import largest_agreement, MAX_COMPARED
 from fej_slam_ros.core.csam.base_node import (
     align, BaseNode, central, RendezvousInformation, RendezvousObservations)
+from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.loop_closing import close_loops, with_measurements
 from fej_slam_ros.core.csam.maps import JointMap, merged
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_landmarks
 from fej_slam_ros.core.csam.rendezvous import (
-    DEFAULT_RULES, Failed, JoinRules, Measurements, MIN_PER_OUTLIER, outlier_report, Rendezvous,
-    rendezvous_of, RendezvousMeasurement, RobotPair)
+    Failed, Measurements, MIN_PER_OUTLIER, outlier_report, Rendezvous, rendezvous_of,
+    RendezvousMeasurement, RobotPair)
 from fej_slam_ros.core.csam.shared_landmarks import (
     align_by_landmarks, contradicting_landmarks, LandmarkAlignment, variance_factor)
 from fej_slam_ros.core.gauss_newton import NoMinimumError

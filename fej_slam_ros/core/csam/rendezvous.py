@@ -1,16 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robot-to-robot observations, grouped into rendezvous of two robots, and their tests."""
+"""Robot-to-robot observations, grouped into rendezvous of two robots."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
-from fej_slam_ros.core.chi_square import chi_square_quantile
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import NS, RendezvousKey
 
 #: Observations per outlier that may be left out; with fewer, outliers cannot be identified.
@@ -48,38 +46,6 @@ Measurements = Sequence[RendezvousMeasurement]
 Rendezvous = tuple[RobotPair, list[RendezvousMeasurement]]
 #: A rendezvous that was not used, and why.
 Failed = tuple[Rendezvous, JoinFailure]
-
-
-@dataclass(frozen=True, slots=True)
-class JoinRules:
-    """Conditions for joining two maps."""
-
-    min_shared: int = 3  #: smallest number of shared landmark keys that joins maps
-    #: chi-square probability with which correct data is accepted; 1.0 accepts all
-    probability: float = 1.0 - 1e-4
-    #: variance of the residuals between maps, relative to that of the stated noise
-    variance_factor: float = 1.0
-
-    def limit(self, dof: int) -> float:
-        """Return the largest chi-square of data that is accepted."""
-        return self.variance_factor * chi_square_quantile(dof, self.probability)
-
-    def landmark_limit(self) -> float:
-        """Return the largest squared distance of a shared landmark from where others put it."""
-        return self.variance_factor * OUTLIER_D2
-
-    def inconsistency(self, chi_square: float, dof: int) -> JoinFailure | None:
-        """Return a failure if chi-square exceeds its limit."""
-        limit = self.limit(dof)
-        if chi_square <= limit:
-            return None
-        return JoinFailure(
-            f'inconsistent (chi-square {chi_square:.1f} with {dof} degrees of freedom, at most'
-            f' {limit:.1f})')
-
-
-#: Rules that accept correct data with probability 1 - 1e-4.
-DEFAULT_RULES = JoinRules()
 
 
 def without_few_outliers(

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.rendezvous import JoinRules
 from fej_slam_ros.core.geometry import Array, rigid_fit, rotation, transform
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.point_consensus import farthest_points

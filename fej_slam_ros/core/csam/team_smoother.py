@@ -15,8 +15,9 @@ from itertools import permutations
 import numpy as np
 
 from fej_slam_ros.core.consistency import pose_error, PoseScore
+from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
-from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.definiteness import is_definite

@@ -14,10 +14,11 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.base_node import BaseNode
+from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_outliers
-from fej_slam_ros.core.csam.rendezvous import JoinRules, RendezvousMeasurement
+from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import (

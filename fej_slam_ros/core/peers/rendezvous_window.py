@@ -18,8 +18,9 @@ import numpy as np
 
 from fej_slam_ros.core.csam.base_node import (
     align, Alignment, RendezvousInformation, RendezvousObservations)
+from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES, MAX_RENDEZVOUS_PAUSE
+from fej_slam_ros.core.csam.rendezvous import MAX_RENDEZVOUS_PAUSE
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure

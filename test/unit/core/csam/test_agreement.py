@@ -9,7 +9,7 @@ import pytest
 
 from fej_slam_ros.core.csam.agreement import largest_agreement
 from fej_slam_ros.core.csam.base_node import BaseNode
-from fej_slam_ros.core.csam.rendezvous import DEFAULT_RULES
+from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES
 
 P = np.diag([0.04, 0.04, 0.0025])
 

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares as scipy_least_squares
 from fej_slam_ros.core.csam import maps
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.rendezvous import JoinRules
+from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.join_failure import JoinFailure
 from helpers.csam import in_another_frame, Met, rendezvous_of, true_base_node
