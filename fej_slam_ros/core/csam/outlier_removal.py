@@ -117,14 +117,14 @@ def _minimum(own: JointMap, loss: CauchyLoss | None = None) -> JointMap | None:
 
 
 def _by_odometry(own: JointMap) -> Values:
-    """Return poses by odometry alone, and landmarks as seen first, which no outlier displaces."""
+    """Return poses by odometry, landmarks by first observations, which no later outlier moves."""
     poses, points = own.values.poses.copy(), own.values.points.copy()
-    odometry, seen = own.problem.odometry, own.problem.landmarks
+    odometry, factors = own.problem.odometry, own.problem.landmarks
     for begin, end, u in zip(odometry.pose.tolist(), odometry.target.tolist(), odometry.z):
         poses[end] = compose(poses[begin], u)
-    landmarks, first = np.unique(seen.target, return_index=True)
+    landmarks, first = np.unique(factors.target, return_index=True)
     for landmark, k in zip(landmarks.tolist(), first.tolist()):
-        points[landmark] = transform(poses[seen.pose[k]], seen.z[k])
+        points[landmark] = transform(poses[factors.pose[k]], factors.z[k])
     return Values(poses, points)
 
 

@@ -90,10 +90,10 @@ class RobotTrajectory:
         if observations:
             self._find()
 
-    def pass_by(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
-        """Move on without keeping a pose; the observations correct the newest pose only."""
+    def add_between_keyframes(self, motion: Motion, observations: tuple[Observation, ...]) -> None:
+        """Move to a pose that is not kept: its observations correct the newest pose only."""
         self._newest_stamp = motion.stamp
-        self._growing.pass_by(motion.u, motion.Q, observations)
+        self._growing.add_between_keyframes(motion.u, motion.Q, observations)
         self.error = self._growing.error
 
     def newest(self) -> PoseEstimate:

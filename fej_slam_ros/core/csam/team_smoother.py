@@ -363,5 +363,5 @@ class TeamSmoother:
         elif name in self._kept:
             trajectory.add(motion, observations)
         else:
-            trajectory.pass_by(motion, observations)
+            trajectory.add_between_keyframes(motion, observations)
             self.between_keyframes[name] += len(observations)

@@ -110,8 +110,7 @@ class IncrementalSmoother:
 
         """
         observations = [*observations]
-        increment = (u, Q) if self._passed is None else composed_increment(*self._passed, u, Q)
-        self._new_increments.append((len(self) - 1, len(self), *increment))
+        self._new_increments.append((len(self) - 1, len(self), *self._since_keyframe(u, Q)))
         self._passed = None
         self._estimate(u, Q, observations)
         self._add_scan(observations)
@@ -143,22 +142,24 @@ class IncrementalSmoother:
             for k, (u, Q) in enumerate(zip(problem.odometry.z, problem.odometry.R))]
         self._poses += [*poses]
         self._P += [P] * len(poses)
-        ids, seen = [*later.landmark_index], problem.landmarks
+        ids, factors = [*later.landmark_index], problem.landmarks
         for pose, target, z, R in zip(
-                seen.pose.tolist(), seen.target.tolist(), seen.z, seen.R):
+                factors.pose.tolist(), factors.target.tolist(), factors.z, factors.R):
             index = self.landmark_index.setdefault(ids[target], len(self.landmark_index))
             self._new_observations.append((first + pose, index, z, R))
-        self._observed_from += (first + np.unique(seen.pose)).tolist()
+        self._observed_from += (first + np.unique(factors.pose)).tolist()
         self._passed = None
         self._newest = NewestPose(
             compose(g, later.pose), (), np.zeros((0, 2)), NearMarginal.of_pose(P))
         if self._solve_every != NEVER:
             self.solve(DUE_TOLERANCE)
 
-    def pass_by(self, u: Array, Q: Array, observations: Iterable[Observation] = ()) -> None:
-        """Move on without keeping a pose: only the newest one has the observations."""
+    def add_between_keyframes(
+        self, u: Array, Q: Array, observations: Iterable[Observation]
+    ) -> None:
+        """Move to a pose that is not kept: its observations correct only the newest pose."""
         self._newest.add(u, Q, [*observations])
-        self._passed = (u, Q) if self._passed is None else composed_increment(*self._passed, u, Q)
+        self._passed = self._since_keyframe(u, Q)
 
     def solve(self, tolerance: float = TOLERANCE) -> Solution:
         """
@@ -175,7 +176,7 @@ class IncrementalSmoother:
         self._continue_from(values, NearMarginal.of(information, values, newest, landmarks))
         if self._P:
             self._P[-1] = self._newest.P
-        self._pass_again()
+        self._restore_newest()
         return solution
 
     def adopt(self, values: Values, near: NearMarginal) -> None:
@@ -197,7 +198,7 @@ class IncrementalSmoother:
             self._estimate(problem.odometry.z[pose - 1], problem.odometry.R[pose - 1], [
                 Observation(ids[landmarks.target[k]], landmarks.z[k], landmarks.R[k])
                 for k in range(first, end)])
-        self._pass_again()
+        self._restore_newest()
 
     def problem(self) -> Problem:
         """Return all measurements."""
@@ -230,8 +231,12 @@ class IncrementalSmoother:
         """Return the information of all poses and landmarks, linearised at the estimate."""
         return least_squares.information(self.problem(), self.values())
 
-    def _pass_again(self) -> None:
-        """Move the newest pose on from the last that is kept; observations since are lost."""
+    def _since_keyframe(self, u: Array, Q: Array) -> tuple[Array, Array]:
+        """Return an increment from the newest pose as one from the last keyframe."""
+        return (u, Q) if self._passed is None else composed_increment(*self._passed, u, Q)
+
+    def _restore_newest(self) -> None:
+        """Move the newest pose on from the last keyframe; observations since are lost."""
         if self._passed is not None:
             self._newest.add(*self._passed, ())
 
