@@ -42,6 +42,11 @@ class LocalMap:
     landmarks: tuple[LandmarkKey, ...]
 
 
+def landmark_index(landmarks: Sequence[Sequence[LandmarkKey]]) -> dict[LandmarkKey, int]:
+    """Return the index of each landmark by each of its keys."""
+    return {key: index for index, keys in enumerate(landmarks) for key in keys}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class JointMap:
     """Map of joined robots in the frame of the first one, or of one robot in its own frame."""
@@ -86,7 +91,7 @@ class JointMap:
 
     def landmark_index(self) -> dict[LandmarkKey, int]:
         """Return the index of each landmark by each of its keys."""
-        return {key: index for index, keys in enumerate(self.landmarks) for key in keys}
+        return landmark_index(self.landmarks)
 
     def information(self, kept: Sequence[int] = ()) -> Information:
         """
@@ -202,7 +207,7 @@ def merged(p: JointMap, q: JointMap, base_node: Array) -> JointMap:
     known = p.landmark_index()
     is_new = [known.keys().isdisjoint(keys) for keys in q.landmarks]
     landmarks = (*p.landmarks, *(keys for keys, new in zip(q.landmarks, is_new) if new))
-    index = {key: k for k, keys in enumerate(landmarks) for key in keys}
+    index = landmark_index(landmarks)
     landmark_of = np.array([index[keys[0]] for keys in q.landmarks], np.intp)
     n = len(p.values.poses)
     values = Values(

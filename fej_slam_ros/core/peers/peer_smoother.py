@@ -14,6 +14,7 @@ from itertools import takewhile
 
 import numpy as np
 
+from fej_slam_ros.core.csam.maps import landmark_index
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory
@@ -145,7 +146,7 @@ class PeerSmoother(TeamSmoother):
     def _landmarks_of(self, own: RobotTrajectory, solved: SmoothedMap) -> Indices:
         """Return the index in a map of each own landmark, up to the first that is not in it."""
         owner = '' if self.settings.shared_landmark_ids else self.robot
-        index = {key: k for k, keys in enumerate(solved.landmarks) for key in keys}
+        index = landmark_index(solved.landmarks)
         keys = takewhile(index.__contains__, own.landmark_keys(owner))
         return np.array([index[key] for key in keys], np.intp)
 
