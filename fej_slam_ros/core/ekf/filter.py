@@ -153,7 +153,7 @@ class Filter:
         try:
             self.submap.ensure_contains(state, stack.variables.columns, may_end=True)
         except EndedError:
-            return Innovation((), np.empty(0), interrupted=observations)
+            return NO_INNOVATION._replace(interrupted=observations)
 
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
         H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)
@@ -186,7 +186,7 @@ class Filter:
             updates.append(update_in_blocks(copy(state.covariance), H, stack.R, residual))
             if updates[-1].count < len(observations):
                 state.x_hat = x_prior
-                return Innovation((), np.empty(0), interrupted=observations)
+                return NO_INNOVATION._replace(interrupted=observations)
             state.x_hat = policy.retract(state, x_prior, updates[-1].dx)
             H, residual = self._relinearize(stack, x_prior, updates[-1].dx)
         updates.append(update_in_blocks(state.covariance, H, stack.R, residual))

@@ -162,7 +162,7 @@ class Gate:
         if all(passed.tolist()):
             return GateResult(observations)
         suspected = self._suspected(observations, d2)
-        observations, used = self._reconsidered(observations, r, S, passed, suspected)
+        observations, used = self._selected(observations, r, S, passed, suspected)
         results = [
             GatedObservation(a, float(distance), self.threshold)
             for a, distance in zip(observations, d2)]
@@ -171,11 +171,11 @@ class Gate:
             [g for g, is_used in zip(results, used) if not is_used],
             [g for g, is_used, inside in zip(results, used, passed) if is_used and not inside])
 
-    def _reconsidered(
+    def _selected(
         self, observations: Sequence[Association], r: Array, S: Array, passed: Flags,
         suspected: Sequence[str],
     ) -> tuple[Sequence[Association], Flags]:
-        """Return the observations and which of them to use, if the scans of robots failed."""
+        """Return the observations and which of them to use, given the suspected robots."""
         return observations, passed & ~_by_or_of(suspected, observations)
 
     def _suspected(self, observations: Sequence[Association], d2: Array) -> list[str]:
@@ -195,7 +195,7 @@ class InflatingGate(Gate):
 
     """
 
-    def _reconsidered(
+    def _selected(
         self, observations: Sequence[Association], r: Array, S: Array, passed: Flags,
         suspected: Sequence[str],
     ) -> tuple[Sequence[Association], Flags]:
