@@ -25,7 +25,7 @@ from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
-from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.parameters.detector_settings import detector_in
 from fej_slam_ros.ros.session.inputs import expected_topics
@@ -39,8 +39,7 @@ EFFECTS_OF_NO_LANDMARKS = {'never_joins', 'blind_anchor'}
 
 
 def examine(
-    path: Path, given: RunSettings | None, names: TopicNames = RECORDED_NAMES,
-    parameter_file: Path | None = None,
+    path: Path, given: RunSettings | None, names: TopicNames, parameter_file: Path | None,
 ) -> list[Finding]:
     """
     Return all findings in a bag, errors first; its own robots are checked without settings.
@@ -59,7 +58,7 @@ def examine(
     names.check_new(expected_topics(team_names))
     recorded = RecordedRobots(path, names, team_names)
     estimation, prior = settings.estimation, prior_map(settings)
-    survey, trial = Survey(), Trial(estimation, prior, settings.node)
+    survey, trial = Survey(), Trial(estimation, settings.node, prior)
     progress = partial(
         tqdm, total=sum(topic.messages for topic in bag_topics.values()), unit='msg', disable=None)
     for message in progress(bags.read(path, names)):
@@ -70,7 +69,7 @@ def examine(
     findings: list[Finding] = []
     if len(estimation.robots) > 1 and prior is None and not team.is_consistent(trial):
         shared = not estimation.shared_landmark_ids
-        other = Trial(replace(estimation, shared_landmark_ids=shared), node=settings.node)
+        other = Trial(replace(estimation, shared_landmark_ids=shared), settings.node)
         for message in progress(bags.read(path, names)):
             other.receive(message)
         other.close()

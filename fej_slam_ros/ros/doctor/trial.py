@@ -12,7 +12,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.inputs import DEFAULTS, Inputs
+from fej_slam_ros.ros.session.inputs import Inputs
 
 #: Reasons of observations that do not fit, and all that concern the whole run rather than single
 #: messages; jumps of odometry have a finding of their own.
@@ -32,8 +32,7 @@ class Trial:
     """A run of the estimator that publishes and writes nothing."""
 
     def __init__(
-        self, settings: Settings, prior: PriorMap | None = None,
-        node: NodeSettings = DEFAULTS,
+        self, settings: Settings, node: NodeSettings, prior: PriorMap | None = None
     ) -> None:
         self.estimator = Estimator(settings, prior)
         # A second pass of a looping bag is a finding.

@@ -47,7 +47,7 @@ Values = dict[str, Any]
 
 def content_of(
     settings: Settings, estimator: Estimator, inputs: Inputs, prior: PriorMap | None,
-    changes: Sequence[ParameterChange] = (),
+    changes: Sequence[ParameterChange],
 ) -> bytes:
     """
     Return the content of a checkpoint of an estimator.

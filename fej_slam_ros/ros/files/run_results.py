@@ -25,7 +25,7 @@ from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, LandmarkMap,
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
     LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
-from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, topic_names, TopicNames
+from fej_slam_ros.ros.files.topic_names import topic_names, TopicNames
 from fej_slam_ros.ros.messages import decoded, incoming, Message
 from fej_slam_ros.ros.messages.common import from_quaternion
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
@@ -85,7 +85,7 @@ def read_folder(folder: Path) -> RunResult:
     return RunResult(_trajectories(rows), _landmarks(folder), nis, shared_ids)
 
 
-def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
+def read_bag(path: Path, names: TopicNames) -> RunResult:
     """Return the results on the output topics in a bag: all poses and the last map."""
     topics = bags.topics(path, names)
     robots = _robots(topics, 'pose', POSE_WITH_COVARIANCE)
@@ -127,7 +127,7 @@ def read_bag(path: Path, names: TopicNames = RECORDED_NAMES) -> RunResult:
         _trajectories(rows), landmarks, next(iter(nis.values()), {}), invalid_messages=invalid)
 
 
-def read_truth(path: Path, names: TopicNames = RECORDED_NAMES) -> tuple[RecordedTruth, int]:
+def read_truth(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
     """
     Return ground truth, and the number of invalid messages that are left out.
 

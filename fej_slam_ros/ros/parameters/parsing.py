@@ -85,7 +85,7 @@ def _team(values: Mapping[str, object]) -> tuple[str, ...]:
     return robots + others
 
 
-def with_current_names(values: Mapping[str, object], warn: Warn = warn_once) -> dict[str, object]:
+def with_current_names(values: Mapping[str, object], warn: Warn) -> dict[str, object]:
     """Return parameters with old names replaced by the present ones."""
     current = dict(values)
     for old, new in RENAMED_PARAMETERS.items():

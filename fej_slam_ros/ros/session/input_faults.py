@@ -10,7 +10,7 @@ observations to get into ``map``.
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -88,9 +88,9 @@ class RobotInput:
     now: int  #: time of the report [ns]
     health: InputHealth  #: of the team
     #: whether the robot needs observations to get into ``map``
-    needs_observations: bool = False
+    needs_observations: bool
     #: publishers on the topics of the team, by relative name, empty if unknown
-    publishers: Mapping[str, TopicPublishers] = field(default_factory=dict)
+    publishers: Mapping[str, TopicPublishers]
 
     def flow(self, kind: str) -> TopicFlow:
         """Return the messages on a topic of the robot."""

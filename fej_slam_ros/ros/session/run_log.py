@@ -39,7 +39,7 @@ class Missing(NamedTuple):
     """Input that a run waits for."""
 
     what: str  #: stays the same while it is missing
-    detail: str = ''  #: why, which may change
+    detail: str  #: why, which may change
 
     def __str__(self) -> str:
         return f'{self.what} ({self.detail})' if self.detail else self.what
