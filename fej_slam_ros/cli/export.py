@@ -41,7 +41,7 @@ IN_GRAPH = (
 
 
 class Exported(NamedTuple):
-    """What an export has written."""
+    """Summary of an export."""
 
     report: list[str]  #: lines with the numbers of records
     robots: list[str]  #: names in the order in which `convert` numbers them

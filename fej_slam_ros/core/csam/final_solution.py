@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is computed once, at the end of the input: the last solution and the sizes of messages."""
+"""The final solution of a team, with the sizes of the messages that align two maps."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

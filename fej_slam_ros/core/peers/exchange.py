@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-What a robot sends to others in reach, and what it does with their messages.
+Exchange of logs with the robots in reach: messages to be sent, and use of received ones.
 
 Every robot sends a list of its blocks in each period (*hello*). A robot that has blocks which
 another one lacks sends them, with a limit on the bytes per second. A hello is thereby request and
@@ -44,13 +44,13 @@ class ExchangeSettings:
 
 @dataclass(slots=True, eq=False)
 class PeerState:
-    """What is known of another robot."""
+    """State of the exchange with another robot."""
 
     last_message: int | None = None  #: time of its last message [ns]
     in_reach_since: int = 0  #: time of the first one since it came in reach [ns]
     run: int | None = None  #: its run by its newest hello
     hello: tuple[int, int] | None = None  #: time of its newest hello by its own clock and by ours
-    #: time of its last hello about each log, and what it has of it
+    #: time of its last hello about each log, and its blocks of the log
     known: dict[LogName, tuple[int, Knowledge]] = field(default_factory=dict)
     others: set[LogName] = field(default_factory=set)  #: its logs of unknown robots
     logs: int | None = None  #: number of its logs of known robots by its last hello

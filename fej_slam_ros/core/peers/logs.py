@@ -50,7 +50,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class Knowledge:
-    """What a robot has of a log."""
+    """Blocks of a log that a robot has."""
 
     log: LogName
     run: int

@@ -64,13 +64,13 @@ class MessageRejectedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Hello:
-    """What a robot has."""
+    """List of the logs that a robot has, sent in each period."""
 
     sender: str
     run: int  #: its present run
     stamp: int  #: time at which it was sent [ns]
     logs: int  #: number of logs of which it has blocks
-    known: tuple[Knowledge, ...]  #: what it has of all or some of these
+    known: tuple[Knowledge, ...]  #: its blocks of all or some of these
 
 
 @dataclass(frozen=True, slots=True)

@@ -219,7 +219,7 @@ def _line(tag: str, vertices: list[int], numbers: Iterable[float]) -> str:
 
 
 class IsamNoise(NamedTuple):
-    """What the numbers behind a measurement of ODOMETRY and LANDMARK are."""
+    """Meaning of the noise numbers of the records ODOMETRY and LANDMARK."""
 
     covariance: Callable[[Array], Array]  #: returns the covariance of these numbers
     #: whether the error of a relative pose is in the frame at its begin, as iSAM takes it

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Which clock of a robot was right: that of its true poses, or of the robots that it meets.
+Evidence for the clock of a robot: that of its true poses, or that of other robots nearby.
 
 When one robot observes another, both may know a landmark nearby. The distance between the observed
 robot and the landmark is then known twice, and agrees if the clocks of both robots do.
@@ -32,7 +32,7 @@ MAX_ERROR_RATIO = 0.9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ClockEvidence:
-    """What tells the time of a robot."""
+    """Data that determine the clock of a robot."""
 
     truth: Series  #: its true poses, in the order of stamps
     moving: Container[int]  #: subjects that are no landmarks
@@ -40,7 +40,7 @@ class ClockEvidence:
     others: Mapping[int, ClockPart] = field(default_factory=dict)  #: other robots, by subject
 
     def errors(self, drives: Sequence[ClockPart]) -> Sequence[float] | None:
-        """Return the error of a drive on each of several clocks; None if nothing tells."""
+        """Return the error of a drive on each of several clocks; None without evidence."""
         errors = [self._turn_error(drive) for drive in drives]
         if np.isfinite(errors).any():
             return errors

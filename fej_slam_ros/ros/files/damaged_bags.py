@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is wrong with a damaged rosbag2, and how to repair it."""
+"""Faults of a damaged rosbag2, and how to repair it."""
 
 from collections.abc import Iterator
 from contextlib import suppress

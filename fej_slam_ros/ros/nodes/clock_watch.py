@@ -12,7 +12,7 @@ NO_CLOCK = 'waiting for /clock: use_sim_time is set'
 
 
 class ClockWatch:
-    """Whether the simulated time of a node advances."""
+    """Watch of the simulated time of a node, which may stand still."""
 
     def __init__(self, node: Node) -> None:
         self._node = node

@@ -12,7 +12,7 @@ from fej_slam_ros.core.settings import Settings
 
 @dataclass(frozen=True)
 class CommonNodeSettings:
-    """What both the estimator and the smoother read."""
+    """Parameters of a node that both the estimator and the smoother read."""
 
     clock_limit: float = parameter(
         1.0, NOT_NEGATIVE,
@@ -57,7 +57,7 @@ class CommonNodeSettings:
 
 @dataclass(frozen=True)
 class SmootherNodeSettings(CommonNodeSettings):
-    """What the smoother reads."""
+    """Parameters of the node of the smoother."""
 
     publish_smoothed_tf: bool = parameter(
         False, FLAG,
@@ -78,7 +78,7 @@ class SmootherNodeSettings(CommonNodeSettings):
 
 @dataclass(frozen=True)
 class EstimatorNodeSettings(CommonNodeSettings):
-    """What the estimator reads; of prior_landmarks the content decides the result."""
+    """Parameters of the node of the estimator; the content of a prior map decides the result."""
 
     prior_landmarks: str = parameter(
         '', TEXT,
@@ -98,7 +98,7 @@ class EstimatorNodeSettings(CommonNodeSettings):
 
 @dataclass(frozen=True)
 class NodeSettings(EstimatorNodeSettings, SmootherNodeSettings):
-    """What either of them reads."""
+    """Parameters of the nodes of the estimator and of the smoother."""
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether input arrives: rate, gaps, rejections and use of the messages of each robot."""
+"""Health of the input: rate, gaps, rejections and use of the messages of each robot."""
 
 from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
