@@ -10,6 +10,8 @@ from ruamel.yaml import YAML
 
 from fej_slam_ros import palette
 from fej_slam_ros.ros.files.rviz_config import team_config
+from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
+from fej_slam_ros.ros.session.detector_session import DetectorSession
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.live_plots import CONSISTENCY, PLOTTED
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
@@ -30,13 +32,14 @@ TYPES = {
 
 
 def published():
-    """Return the full names and types of what estimator and smoother of r1 and r2 publish."""
-    runs = {
-        'estimator': EstimatorSession(run_settings(), None),
-        'smoother': SmootherSession(run_settings(), None)}
+    """Return the full names and types of what the nodes for r1 and r2 publish."""
+    outputs = {
+        'estimator': EstimatorSession(run_settings(), None).outputs.topics,
+        'smoother': SmootherSession(run_settings(), None).outputs.topics,
+        'detector': DetectorSession(DetectorSettings(('r1', 'r2'))).outputs}
     return {
         '/' + topic.lstrip('/').replace('~', node): type_name
-        for node, run in runs.items() for topic, type_name in run.outputs.topics.items()}
+        for node, topics in outputs.items() for topic, type_name in topics.items()}
 
 
 def strings(tree):

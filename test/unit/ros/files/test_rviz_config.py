@@ -21,8 +21,9 @@ def topics(text):
 def test_each_robot_has_its_displays_and_no_other_robot_has(robots):
     shown = topics(team_config(TEMPLATE, robots))
 
-    of_robots = [topic for topic in shown if topic.endswith(('/pose', '/path'))]
-    assert of_robots == [f'/{name}/{kind}' for name in robots for kind in ('pose', 'path')]
+    kinds = '/pose', '/path', '/detection_markers'
+    assert [topic for topic in shown if topic.endswith(kinds)] == [
+        f'/{name}{kind}' for name in robots for kind in kinds]
     assert '/estimator/markers' in shown
 
 
