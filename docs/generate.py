@@ -362,8 +362,7 @@ def _table(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 def _parameter_table(parameters: Mapping[str, Parameter]) -> str:
     marks = {True: 'yes', False: ''}
     rows = [
-        (f'`{name}`', *_typed(p.kind), p.unit, p.default, marks[p.changeable],
-         p.help.replace('<', r'\<'))
+        (f'`{name}`', *_typed(p.kind), p.unit, p.default, marks[p.changeable], _plain(p.help))
         for name, p in parameters.items()]
     return _table(
         ('parameter', 'type', 'must be', 'unit', 'default', 'at run time', 'meaning'), rows)
@@ -372,7 +371,12 @@ def _parameter_table(parameters: Mapping[str, Parameter]) -> str:
 def _typed(kind: Kind) -> tuple[str, str]:
     """Return the ROS type of a parameter, and what it must be."""
     length = '' if not kind.shape else f'[{kind.shape[0] or ""}]'
-    return f'{TYPE_NAMES[kind.element]}{length}', kind.expected
+    return f'{TYPE_NAMES[kind.element]}{length}', _plain(kind.expected)
+
+
+def _plain(text: str) -> str:
+    """Return a text that Markdown does not take for HTML."""
+    return text.replace('<', r'\<')
 
 
 def _input_rows() -> Iterator[Sequence[str]]:
