@@ -89,6 +89,9 @@ class RecordedRobots:
 
     def cure(self, *robots: str) -> str:
         """Return how to read topics as those of some missing robots, by default of all."""
+        wanted = [f'{robot}/odom' for robot in robots or self.missing]
+        if self._names.namespace and {*wanted} <= self._topics.keys():
+            return 'leave out --namespace'
         spaces = self._namespaces()
         if spaces:
             return f'add {" or ".join(f"--namespace /{space}" for space in spaces)}'
@@ -99,8 +102,9 @@ class RecordedRobots:
             return (
                 'choose the topics of each robot with --remap, for example'
                 f' --remap /{topic}:=/{[*robots, *self.missing][0]}/odom')
-        wanted = ', '.join(f'{robot}/odom' for robot in robots or self.missing)
-        return f'record {ODOMETRY} on {wanted}, or give the topic that has it with --remap'
+        return (
+            f'record {ODOMETRY} on {", ".join(wanted)}, or give the topic that has it with'
+            ' --remap')
 
     def recorded_names(self) -> dict[str, str]:
         """Return the recorded name of each robot: the first part of its odometry topic."""

@@ -98,6 +98,15 @@ def test_proposed_options_fit_beside_a_given_namespace(recorded):
         ' --remap /fleet/husky1/tags:=/r1/landmarks')
 
 
+def test_a_namespace_that_no_robot_needs_is_left_out(recorded):
+    topics = {'r1/odom': 'odometry', 'r2/odom': 'odometry'}
+
+    robots = recorded(topics, ['r1', 'r2'], topic_names([], 'r1'))
+
+    assert robots.missing == ['r1', 'r2']
+    assert robots.cure() == 'leave out --namespace'
+
+
 def test_proposed_options_make_every_robot_complete(recorded, tmp_path):
     cure = recorded({**HUSKY, 'r2/odom': 'odometry'}, ['r1', 'r2']).cure()
 
