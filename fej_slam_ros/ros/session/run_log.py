@@ -306,7 +306,7 @@ class EstimatorLog(RunLog[Estimator]):
             elif is_first and self._consumer.robots[robot].start_pose is not None:
                 cause = 'its start_pose'
             else:
-                cause = 'what it observes'
+                cause = 'its observations'
             self.add(LogSeverity.INFO, f'{robot} joined {frame}, by {cause}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')

@@ -174,7 +174,7 @@ def test_odometry_that_jumps_is_a_restart_with_the_jump():
     restarted, joined = lines_of(records)[3:5]
 
     assert re.fullmatch(r'r2 restarts: its odometry moved 30\.\d m in 0\.10 s', restarted)
-    assert joined == 'r2 joined map, by what it observes'
+    assert joined == 'r2 joined map, by its observations'
 
 
 def test_a_lost_robot_restarts_and_recovers():
