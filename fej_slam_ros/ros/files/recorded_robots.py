@@ -90,8 +90,9 @@ class RecordedRobots:
     def cure(self, *robots: str) -> str:
         """Return how to read topics as those of some missing robots, by default of all."""
         wanted = [f'{robot}/odom' for robot in robots or self.missing]
-        if self._names.namespace and {*wanted} <= self._topics.keys():
-            return 'leave out --namespace'
+        if all(topic in self._topics and self._names.name(topic) != topic for topic in wanted):
+            renamed = f'the --remap of {", ".join(f"/{topic}" for topic in wanted)}'
+            return f'leave out {"--namespace" if self._names.namespace else renamed}'
         spaces = self._namespaces()
         if spaces:
             return f'add {" or ".join(f"--namespace /{space}" for space in spaces)}'
