@@ -97,11 +97,9 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     path: Path = arguments.run
-    # A folder of no run is reported as such, and not for its missing ground truth.
-    of_folder = None if is_bag else run_results.read_folder(path)
     sources = _sources(arguments)
-    truth = sources.truth
-    result = of_folder or run_results.read_bag(path, sources.run_names)
+    names, truth = sources.run_names, sources.truth
+    result = run_results.read_bag(path, names) if is_bag else run_results.read_folder(path)
     true_data, invalid_truth = run_results.read_truth(truth, sources.truth_names)
     evaluation = RunEvaluation(result, true_data, arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
@@ -142,6 +140,8 @@ def _sources(arguments: argparse.Namespace) -> Sources:
     if is_bag and run_results.has_truth(run, run_names):
         return Sources(run_names, run, run_names)
     if truth is None:
+        if not is_bag:
+            run_results.refuse_other_folder(run)
         raise UserError(
             f'{run} has no ground truth, and its input bag is unknown or missing:'
             ' give the truth with --truth')

@@ -32,6 +32,8 @@ from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANC
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, TYPES
 from fej_slam_ros.tables import Cells, finite_numbers
 
+#: Beginning of the names of the files with trajectories.
+TRAJECTORY = 'trajectory_'
 #: Columns of a TUM file after the time.
 TUM_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
 SourceT = TypeVar('SourceT')
@@ -69,20 +71,27 @@ def names_of(folder: Path) -> TopicNames:
 
 def read_folder(folder: Path) -> RunResult:
     """Return the results in files of `replay`, `smooth` or a node."""
-    prefix = 'trajectory_'
-    files = sorted(folder.glob(f'{prefix}*.csv'))
-    if not files:
-        raise UserError(
-            f'{folder} has no {prefix}<robot>.csv and is no rosbag2: give the folder that replay,'
-            ' smooth or a node wrote, or a bag with its output topics')
+    refuse_other_folder(folder)
     rows = {
-        path.stem.removeprefix(prefix): [*_table(path, TRAJECTORY_COLUMNS, read_pose)]
-        for path in files}
+        path.stem.removeprefix(TRAJECTORY): [*_table(path, TRAJECTORY_COLUMNS, read_pose)]
+        for path in _trajectory_files(folder)}
     shared_ids = not (folder / 'ids.csv').exists()
     nis = {
         name: NisSum(float(sums['sum']), int(sums['dof']))
         for name, sums in _summary(folder)['nis'].items()}
     return RunResult(_trajectories(rows), _landmarks(folder), nis, shared_ids)
+
+
+def refuse_other_folder(folder: Path) -> None:
+    """Raise UserError for a folder without trajectories, which no run wrote."""
+    if not _trajectory_files(folder):
+        raise UserError(
+            f'{folder} has no {TRAJECTORY}<robot>.csv and is no rosbag2: give the folder that'
+            ' replay, smooth or a node wrote, or a bag with its output topics')
+
+
+def _trajectory_files(folder: Path) -> list[Path]:
+    return sorted(folder.glob(f'{TRAJECTORY}*.csv'))
 
 
 def read_bag(path: Path, names: TopicNames) -> RunResult:
