@@ -173,6 +173,21 @@ def test_noise_of_a_rejected_scan_is_inflated_to_the_median_of_chi_square():
     assert numbers(g.association for g in gated.rejected) == [1, 6]
 
 
+@pytest.mark.parametrize(('d2_of_threshold', 'is_used'), [(100.0, True), (102.0, False)])
+def test_an_inflated_scan_is_gated_by_its_inflated_covariance(d2_of_threshold, is_used):
+    # Prior and noise have the covariance I. Three observations at 101 medians need the noise
+    # 100 I: the fourth has the covariance 101 I, and passes up to 101 thresholds.
+    x = np.sqrt([*3 * [101.0 * chi2.median(2)], d2_of_threshold * chi2.ppf(0.999, 2), 1e9])
+    observations, _, _ = scans({'r1': x})
+    observations = [
+        a._replace(observation=replace(a.observation, R=np.eye(2))) for a in observations]
+
+    gated = InflatingGate(0.999).apply(
+        observations, np.column_stack([x, np.zeros(5)]), np.tile(2.0 * np.eye(2), (5, 1, 1)))
+
+    assert numbers(gated.accepted) == [0, 1, 2, 3][:3 + is_used]
+
+
 @pytest.mark.parametrize('errors', [
     {'r1': [0.1, 9.0, 9.0, 0.1]}, {'r1': [9.0, 9.0]}, {'r1': [9.0, 9.0], 'r2': [9.0, 0.1, 0.1]}])
 def test_half_a_scan_or_fewer_than_three_observations_are_not_inflated(errors):
@@ -236,3 +251,17 @@ def test_trusted_landmarks_decide_whether_a_pose_is_suspected(trusted, failed, s
         statistics.add('r1', landmark, has_failed == '1')
 
     assert statistics.mostly_failed() == suspected
+
+
+@pytest.mark.parametrize(('known', 'trusted', 'clears'), [
+    (3, 0, True), (2, 2, True), (2, 1, False), (2, 0, False)])
+def test_three_known_or_two_trusted_landmarks_can_clear_a_suspected_robot(known, trusted, clears):
+    assert ScanGateStatistics(known, trusted=trusted).can_clear() is clears
+
+
+@pytest.mark.parametrize(('trusted', 'failed', 'confirmed'), [
+    (2, 0, True), (3, 1, True), (2, 1, False), (1, 0, False)])
+def test_most_of_at_least_two_trusted_landmarks_confirm_a_pose(trusted, failed, confirmed):
+    scan = ScanGateStatistics(trusted, failed, trusted, trusted_failed=failed)
+
+    assert scan.confirms_pose() is confirmed
