@@ -31,6 +31,9 @@ DELAY_WINDOW, GROWTH_WINDOW, HEADING_WINDOW = 0.2, 5.0, 20.0
 #: robots [rad/m, rad/rad].
 MAX_TURN_WINDOW = 60.0
 OWN_TURN_SIGMA = np.array([0.1, 0.1])
+#: Standard deviation of the growth of errors per metre and per radian, relative to that of set 6
+#: times a common factor.
+RATIO_SIGMA = 0.3
 #: Upper bound of the delay from a command to the motion [s].
 MAX_MOTION_DELAY = 0.5
 #: Iterations of the reweighted least squares for the growth of errors, enough to converge.
@@ -68,11 +71,13 @@ def measured_options(
     options = replace(options, motion_delay=motion_delay)
     options = replace(options, odometry_scale=odometry_scale or _scale(data, options))
     options = replace(options, own_turns=own_turns(data, options))
-    position = _growth(increments(data, options, GROWTH_WINDOW), 0, GROWTH_WINDOW)
+    usual = options.noise
+    position = _growth(
+        increments(data, options, GROWTH_WINDOW), 0, GROWTH_WINDOW, usual.position)
     windows, seconds = increments(data, options, HEADING_WINDOW), HEADING_WINDOW
     if len(windows.true) < MIN_WINDOWS:
         windows, seconds = increments(data, options, GROWTH_WINDOW), GROWTH_WINDOW
-    heading = _growth(windows, 2, seconds)
+    heading = _growth(windows, 2, seconds, usual.heading)
     noise = replace(options.noise, position=position, heading=heading)
     return _with_observation_noise(replace(options, noise=noise), *observation_errors(data))
 
@@ -220,12 +225,25 @@ def _ratio(windows: WindowIncrements, axis: int) -> float:
     return float(true @ measured) / moved if moved else 1.0
 
 
-def _growth(windows: WindowIncrements, axis: int, seconds: float) -> tuple[float, float]:
-    """Return c >= 0 so that squared errors are commanded @ c + standstill noise in the mean."""
+def _growth(
+    windows: WindowIncrements, axis: int, seconds: float, usual: tuple[float, float]
+) -> tuple[float, float]:
+    """
+    Return c >= 0 so that squared errors are commanded @ c + standstill noise in the mean.
+
+    Few windows do not tell driving from turning, so the ratio is drawn to that of `usual`.
+
+    """
     squares, constant = np.square(windows.errors()[:, axis]), seconds * STANDSTILL_VARIANCE[axis]
     variances = np.full(len(squares), squares.mean() + constant)
+    (factor,), _ = nnls((windows.commanded @ usual)[:, None], squares - constant)
+    expected = factor * np.array(usual)
+    # A squared error has sqrt(2) times its mean as standard deviation.
+    weight = np.sqrt(2.0) / RATIO_SIGMA
     for _ in range(REWEIGHTINGS):
-        # The standard deviation of a squared error is proportional to its mean.
-        c, _ = nnls(windows.commanded / variances[:, None], (squares - constant) / variances)
+        A, b = windows.commanded / variances[:, None], (squares - constant) / variances
+        ratios, _ = nnls(
+            np.vstack([A * expected, weight * np.eye(2)]), np.append(b, [weight, weight]))
+        c = expected * ratios
         variances = windows.commanded @ c + constant
     return float(c[0]), float(c[1])
