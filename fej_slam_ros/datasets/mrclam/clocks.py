@@ -79,8 +79,7 @@ def _parts(commands: Series, observations: Series, counts: Counter[str]) -> Iter
     for first, last in pairwise([0, *breaks(commands.stamps), len(commands)]):
         end = after = len(observations)
         if last < len(commands):
-            end, after = _division(
-                observations.stamps, begin, commands.stamps[last], commands.stamps[last - 1])
+            end, after = _division(observations.stamps, begin, commands.stamps, last)
         counts['observation at a repeated time'] += after - end
         yield ClockPart(commands[first:last].in_order(), observations[begin:end].in_order())
         begin = after
@@ -100,19 +99,22 @@ def _without_repeated(series: Series, counts: Counter[str]) -> Series:
     return drop(series, repeated, 'row repeated', counts)
 
 
-def _division(stamps: Stamps, begin: int, low: int, high: int) -> tuple[int, int]:
+def _division(stamps: Stamps, begin: int, commands: Stamps, row: int) -> tuple[int, int]:
     """
     Return the end of the observations before a break, and the first row after it.
 
-    The break of the commands repeats the time from `low` to `high`. Observations that do not step
-    back there cannot be assigned if they are within it.
+    The break repeats the time between the commands before and at `row`. Observations that do not
+    step back there are of one recording: the earlier one if only its commands last so long.
+    Otherwise those within the repeated time cannot be assigned.
     """
-    own = stamps[begin:]
+    own, low, high = stamps[begin:], commands[row], commands[row - 1]
     steps = np.diff(own, prepend=own[:1])
     steps[1:][(own[1:] < low - COMPARED_TIME) | (own[:-1] > high + COMPARED_TIME)] = 0
     if len(own) and steps.min() < 0:
-        row = begin + int(steps.argmin())
-        return row, row
+        first = begin + int(steps.argmin())
+        return first, first
+    if len(own) and commands[row:].max() < min(high, own[-1]):
+        return len(stamps), len(stamps)
     first = begin + int(np.append(own >= low, True).argmax())
     after = begin + int(np.append(own > high, True).argmax())
     return first, max(first, after)

@@ -183,6 +183,18 @@ def test_another_recording_at_the_same_time_is_left_out():
     assert counts['observation of another recording'] == len(cut(others[1], 20, 70)[0])
 
 
+def test_observations_stay_with_a_recording_to_whose_commands_those_of_another_are_joined():
+    commands, observations, _ = drive(7)
+    other, *_ = drive(8)
+    other = other.where(other.stamps < at(60))
+
+    found, seen, counts = ordered(joined([commands, other]), observations)
+
+    assert_equal(found, commands)
+    assert_equal(seen, observations)
+    assert counts == {'stamp steps back': 1, 'command of another recording': len(other)}
+
+
 def test_where_only_commands_step_back_observations_in_the_repeated_time_are_left_out():
     commands, observations, _ = drive(8)
     stepped = joined([
