@@ -34,7 +34,8 @@ class Robot:
     name: str
     slot: Slot
     stamp: int
-    #: variance [rad^2] of its turn by odometry since an update by its observations or of it
+    #: variance [rad^2] of its turn by odometry since an update by its observations or of it, or
+    #: a join that left its heading less uncertain
     turn_variance: float = 0.0
 
 
