@@ -150,7 +150,8 @@ def read(message: bytes, sender: str, receiver: str) -> WindowInformation | None
         np.frombuffer(poses, '<f8').reshape(-1, 3), middle, start, np.frombuffer(origin, '<f8'),
         upper_triangular(np.frombuffer(packed, '<f4').astype(np.float64)))
     for values in (information.poses, information.origin, information.R_sqrt):
-        if not np.abs(values).max() <= MAX_VALUE:
+        # R_sqrt is empty where the only pose is that of the start.
+        if not np.abs(values).max(initial=0.0) <= MAX_VALUE:
             raise BadBlockError('it has numbers that are not finite')
     times = tuple(np.frombuffer(stamps, '<i8').tolist())
     observations = [

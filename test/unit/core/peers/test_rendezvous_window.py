@@ -15,7 +15,7 @@ from fej_slam_ros.core.peers.blocks import BadBlockError
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.rendezvous_window import (
     read, rendezvous_task, solve_rendezvous, write)
-from fej_slam_ros.core.records import RobotScan, TruePose
+from fej_slam_ros.core.records import NS, Odometry, RobotObservation, RobotScan, TruePose
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
 from helpers.core import pose_difference
 from helpers.radio import is_measurement, Robot, team_settings
@@ -153,3 +153,23 @@ def test_a_robot_without_odometry_has_nothing_to_tell_yet():
     give({'p': parked, 'q': robots['q']}, 'q', 'p')
 
     assert parked.share_rendezvous('q') is None
+
+
+def test_robots_that_observe_each_other_only_at_their_start_are_aligned():
+    """The information of each is one pose, which its map fixes: there is no R_sqrt."""
+    settings = team_settings(['p', 'q'], shared=False)
+    robots = {name: Robot(name, settings) for name in 'pq'}
+    # q starts 2 m ahead of p and 1 m to its left, turned to the left by 90 deg.
+    for name, other, z in ('p', 'q', (2.0, 1.0)), ('q', 'p', (-1.0, 2.0)):
+        logs = robots[name].logs
+        logs.record(Odometry(name, 0, np.zeros(3), None))
+        logs.record(RobotScan(name, 0, (
+            RobotObservation(other, np.array(z), 1e-4 * np.eye(2)),)))
+        logs.record(Odometry(name, NS, np.array([1.0, 0.0, 0.0]), 1e-4 * np.eye(3)))
+    assert isinstance(robots['p'].share_rendezvous('q').alignment, JoinFailure)
+    give(robots, 'p', 'q')
+
+    alignment = robots['q'].share_rendezvous('p').alignment
+
+    # Observations without errors.
+    assert_allclose(alignment.base_node.pose, [-1.0, 2.0, -np.pi / 2.0], atol=1e-9)
