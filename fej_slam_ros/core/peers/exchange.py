@@ -11,7 +11,7 @@ reach, so that one block serves each of them.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from fej_slam_ros.core.peers.logs import is_of, Knowledge, LogName
 from fej_slam_ros.core.peers.messages import (
@@ -132,11 +132,8 @@ class PeerExchange:
         if self._next_hello is None or now >= self._next_hello:
             self._next_hello = now + self.settings.period
             self.logs.flush()
-            self._sent_at = {
-                block: at for block, at in self._sent_at.items()
-                if now - at <= REACH_PERIODS * self.settings.period}
-            known = [log.knowledge() for log in self.logs.logs.values()]
-            for data in hellos(self.logs.robot, self.logs.run, now, known):
+            self._forget_sent(now)
+            for data in hellos(self.logs.robot, self.logs.run, now, self._known()):
                 yield self._counted('hello', data)
         elapsed, self._last = min(now - self._last, MAX_SAVING), now
         rate = self.settings.rate / NS
@@ -172,7 +169,7 @@ class PeerExchange:
             raise MessageRejectedError(MessageRejection.OLD_RUN)
         if hello.run != peer.run:
             # It has restarted, and may have lost its logs.
-            peer.run, peer.hello = hello.run, None
+            peer.run, peer.hello, peer.in_reach_since = hello.run, None, now
             peer.known.clear()
             peer.others.clear()
         if peer.hello is None or hello.stamp > peer.hello[0]:
@@ -184,8 +181,10 @@ class PeerExchange:
             # Its clock has gone back.
             peer.hello = hello.stamp, now
         _, heard = peer.hello
-        team = {self.logs.robot, *self.peers}
-        of_team = {entry.log: (heard, entry) for entry in hello.known if is_of(entry.log, team)}
+        # Logs of former peers are still known, and given to robots that lack them.
+        of_team = {
+            entry.log: (heard, entry) for entry in hello.known
+            if self._is_wanted(entry.log) or entry.log in self.logs.logs}
         peer.known |= of_team
         # It may list logs of robots that are unknown here.
         peer.others |= {entry.log for entry in hello.known if entry.log not in of_team}
@@ -199,11 +198,34 @@ class PeerExchange:
 
     def _receive_block(self, message: BlockMessage, now: int) -> None:
         block = message.block
-        if not is_of(block.log, {self.logs.robot, *self.peers}):
+        if not self._is_wanted(block.log):
             raise MessageRejectedError(MessageRejection.UNKNOWN_ROBOT)
         self.logs.add(block)
         # Whoever else has it need not send it at the same time.
         self._sent_at[block.log, block.run, block.number] = now
+
+    def _is_wanted(self, name: LogName) -> bool:
+        """Return whether a log is of the present team."""
+        return is_of(name, {self.logs.robot, *self.peers})
+
+    def _known(self) -> list[Knowledge]:
+        """Return what is known of all logs; no more is wanted of those of former peers."""
+        return [
+            log.knowledge() if self._is_wanted(name) else replace(log.knowledge(), is_ended=True)
+            for name, log in self.logs.logs.items()]
+
+    def _forget_sent(self, now: int) -> None:
+        """
+        Forget when blocks were sent, so that they are sent again to robots that do not list them.
+
+        A robot that does not list a log has lost all of it, or does not want it: it is offered the
+        first block again, and the others when it has that.
+
+        """
+        self._sent_at = {
+            (name, run, number): at for (name, run, number), at in self._sent_at.items()
+            if now - at <= REACH_PERIODS * self.settings.period
+            or (number > 0 and self.logs.logs[name].run == run)}
 
     def _lacking(self, now: int) -> list[tuple[LogName, int, int]]:
         """Return the blocks that a robot in reach lacks, in the order in which they are sent."""

@@ -100,14 +100,21 @@ class Log:
         return known.count >= len(self.digests) or self.digests[known.count] == known.digest
 
     def missing(self, known: Knowledge | None) -> Iterator[int]:
-        """Yield the numbers of the known blocks that another robot does not have."""
-        first, ahead = 0, frozenset[int]()
-        if known is not None and known.run >= self.run:
+        """
+        Yield the numbers of the known blocks that another robot does not have.
+
+        A robot that has an earlier run of the author accepts no other block before the first one.
+
+        """
+        first, ahead, most = 0, frozenset[int](), MAX_AHEAD
+        if known is not None and known.run < self.run:
+            most = MAX_AHEAD if self.name.about else 1
+        elif known is not None:
             if known.run > self.run or known.is_ended or not self.is_prefix(known):
                 return
             first, ahead = known.count, known.ahead
         for number in [*range(first, len(self.blocks)), *sorted(self.ahead)]:
-            if number not in ahead and number < first + MAX_AHEAD:
+            if number not in ahead and number < first + most:
                 yield number
 
 

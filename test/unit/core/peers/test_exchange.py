@@ -273,3 +273,61 @@ def test_logs_of_robots_outside_of_the_team_are_neither_stored_nor_waited_for():
     about = write(BlockMessage('q', replace(block, log=LogName('q', 'x'))))
     assert robots['p'].exchange.receive(about, 0) is MessageRejection.UNKNOWN_ROBOT
     assert robots['p'].logs.logs.keys() == {LogName('p')}
+
+
+def bytes_of_blocks(robots, radio, seconds):
+    """Return the bytes of blocks that each robot sends in a time."""
+    before = {name: robot.exchange.bytes_sent['block'] for name, robot in robots.items()}
+    radio.run(seconds)
+    return {
+        name: robot.exchange.bytes_sent['block'] - before[name]
+        for name, robot in robots.items()}
+
+
+def test_logs_of_a_former_peer_are_given_once_to_robots_that_lack_them():
+    robots = team('p', 'q', 'z')
+    driven = {name: drive(robot, seed=k) for k, (name, robot) in enumerate(robots.items())}
+    radio = Radio(robots, np.random.default_rng(1), loss=0.2)
+    radio.run(20.0)
+    del robots['z']
+    # q begins afresh, and p goes on from what it had, both without z among their peers.
+    stored = robots['p'].logs.take_new_blocks()
+    robots['p'] = Robot('p', team_settings(['p', 'q']), run=2, information_first=0)
+    for block in stored:
+        robots['p'].logs.restore(block)
+    robots['q'] = Robot('q', robots['q'].settings, run=2, information_first=0)
+
+    radio.run(20.0)
+
+    assert known(robots['q'], 'z') == identities(driven['z'])
+    assert bytes_of_blocks(robots, radio, 20.0) == {'p': 0, 'q': 0}
+    assert robots['p'].exchange.is_complete(radio.now)
+
+
+def test_a_log_that_another_robot_does_not_want_is_not_sent_to_it_for_ever():
+    robots = team('p', 'q', 'z')
+    robots['q'] = Robot('q', team_settings(['p', 'q']), information_first=0)
+    for robot in robots.values():
+        drive(robot)
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(20.0, lambda a, b: {a, b} != {'q', 'z'})
+    del robots['z']
+
+    sent = bytes_of_blocks(robots, radio, 20.0)
+
+    # The first block, in case that all of it was lost, each time a robot would be out of reach.
+    size = len(robots['p'].logs.logs[LogName('z')].blocks[0]) + 100
+    assert sent['p'] <= size * 20.0 / 2.0 < 0.5 * robots['p'].logs.size()
+    assert sent['q'] == 0
+
+
+def test_nothing_more_is_sent_of_a_robot_that_is_no_longer_a_peer_of_the_receiver():
+    robots = team('p', 'q')
+    drive(robots['p'], count=3)
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(3.0)
+    robots['q'].exchange.change_peers([])
+    radio.run(1.0)
+    drive(robots['p'], first=3)
+
+    assert bytes_of_blocks(robots, radio, 10.0)['p'] == 0
