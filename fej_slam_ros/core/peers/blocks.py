@@ -25,8 +25,9 @@ from fej_slam_ros.core.records import (
 Measurement = Odometry | AnyScan
 #: Largest size of a block before compression [bytes].
 MAX_CONTENT = 65_536
-#: Largest absolute value of a number in a block, as of messages.
-MAX_VALUE = 1e12
+#: Largest absolute value of a number in a block: more than that of messages, 1e12, as entries of a
+#: covariance may double when it is rotated into the base frame.
+MAX_VALUE = 1e13
 #: Latest stamp that a message of ROS can have [ns].
 MAX_STAMP = (2**31 - 1) * NS
 #: Largest difference between the transposed entries of a covariance, relative to the largest one.
@@ -185,7 +186,12 @@ def _check(poses: Array, Q: Array, z: Array, R: Array) -> None:
     for P in (Q, R):
         skew = np.abs(P - P.transpose(0, 2, 1))
         _require(bool((skew <= SYMMETRY * np.abs(P).max(axis=(1, 2), keepdims=True)).all()))
-        _require(all(map(is_definite, P)))
+    _require(all(map(is_definite, Q)))
+    # Robots use observations that are almost exact in one direction, and others have to read them.
+    try:
+        np.linalg.cholesky(R)
+    except np.linalg.LinAlgError as error:
+        raise BadBlockError(str(error)) from error
 
 
 def _require(condition: bool) -> None:

@@ -8,8 +8,10 @@ import zlib
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.geometry import rotation
 from fej_slam_ros.core.peers.blocks import BadBlockError, decoded, encoded, MAX_CONTENT
 from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
+from fej_slam_ros.ros.messages.incoming import observation_faults
 
 R = np.array([[0.04, 0.01], [0.01, 0.02]])
 
@@ -82,3 +84,24 @@ def test_random_bytes_are_rejected():
 def test_a_small_block_cannot_fill_the_memory():
     with pytest.raises(BadBlockError):
         decoded(zlib.compress(bytes(100 * MAX_CONTENT)), 'p')
+
+
+def test_every_observation_that_a_robot_accepts_can_be_read_by_others():
+    """Also of a bearing with almost unknown range, turned into the base frame."""
+    rng = np.random.default_rng(2)
+    accepted = 0
+    for _ in range(2_000):
+        C, sensor = (rotation(angle) for angle in rng.uniform(-np.pi, np.pi, 2))
+        variances = 10.0 ** np.array([12.0, -2.0 + rng.uniform(-1.0, 1.0)])
+        in_sensor = C @ np.diag(variances * 10.0 ** rng.uniform(-12.0, 0.0)) @ C.T
+        in_sensor[1, 0] = in_sensor[0, 1]
+        if observation_faults(np.ones((1, 2)), in_sensor[None]) != [None]:
+            continue
+        accepted += 1
+        decoded(encoded([Scan('p', 1, (
+            Observation(3, np.ones(2), sensor @ in_sensor @ sensor.T),))]), 'p')
+    assert accepted > 500
+
+    largest = 1e12 * np.array([[1.0, 0.99], [0.99, 1.0]])
+    turned = rotation(np.pi / 4.0) @ largest @ rotation(np.pi / 4.0).T
+    decoded(encoded([Scan('p', 1, (Observation(3, np.ones(2), turned),))]), 'p')
