@@ -57,14 +57,14 @@ class ExchangeFile:
             for message in (write(BlockMessage(self._robot, block)) for block in blocks))
         if not data:
             return
-        try:
-            with writing(self._path):
-                if self._file.write(data) != len(data):
-                    raise OSError(ENOSPC, os.strerror(ENOSPC))
-                os.fsync(self._file.fileno())
-        except UserError:
+        with writing(self._path):
+            # A file that was deleted or unmounted could still be written.
+            self._path.stat()
+            # A part of what a full disk has not taken before.
             self._file.truncate(self._size)
-            raise
+            if self._file.write(data) != len(data):
+                raise OSError(ENOSPC, os.strerror(ENOSPC))
+            os.fsync(self._file.fileno())
         self._size += len(data)
 
     def close(self) -> None:

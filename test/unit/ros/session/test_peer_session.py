@@ -359,7 +359,6 @@ def test_what_a_full_disk_does_not_take_is_written_later(clock, tmp_path, monkey
         _, report = run.diagnostics.report(2, at_rest=False)
         files, = (status for status in report.status if status.name == 'smoother: files')
         assert (files.level, files.values[0].key) == (2, 'exchange_file')
-        assert len(path.read_bytes()) < 200
     exchanged({'p': run}, clock, 1.0)
     run.discard_files()
 
