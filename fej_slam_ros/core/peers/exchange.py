@@ -10,7 +10,7 @@ reach, so that one block serves each of them.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
 from fej_slam_ros.core.peers.logs import is_of, Knowledge, LogName
@@ -75,6 +75,7 @@ class PeerExchange:
     peers : the other robots by name
     bytes_sent, messages_sent : by kind, hello or block
     rejected_unread : messages that could not be read, by reason
+    held_back : log, run and number of blocks that are not sent yet, set by the caller
 
     """
 
@@ -84,6 +85,7 @@ class PeerExchange:
         self.bytes_sent: Counter[str] = Counter()
         self.messages_sent: Counter[str] = Counter()
         self.rejected_unread: Counter[MessageRejection] = Counter()
+        self.held_back: Collection[tuple[LogName, int, int]] = frozenset()
         self._next_hello: int | None = None
         self._sent_at: dict[tuple[LogName, int, int], int] = {}
         self._saved, self._last = 0.0, 0
@@ -235,7 +237,7 @@ class PeerExchange:
             for name, run, number, heard in self._missing(
                 self.peers[other], other, self._waits(other))
             if heard - self._sent_at.get((name, run, number), heard - ROUND_TRIP) >= ROUND_TRIP}
-        return sorted(lacking, key=self._priority)
+        return sorted(lacking.difference(self.held_back), key=self._priority)
 
     def _missing(
         self, peer: PeerState, name: str, waits: bool

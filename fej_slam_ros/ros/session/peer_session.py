@@ -154,7 +154,7 @@ class PeerSession(SmootherSession):
         """Yield the messages that are due to be sent to other smoothers."""
         self._store()
         for data in self._exchange.due(monotonic_ns()):
-            # Nothing is sent that a restarted process would not have.
+            # A hello closes a block.
             self._store()
             yield EXCHANGE_TOPIC, outgoing.byte_array(data)
 
@@ -247,9 +247,14 @@ class PeerSession(SmootherSession):
                 self._file.append(self._unwritten)
             except UserError as error:
                 self._report_file_error(str(error))
+                # Nothing is sent that a restarted process would not have.
+                self._exchange.held_back = {
+                    (block.log, block.run, block.number) for block in self._unwritten
+                    if block.log.author == self.team.robot}
                 return
             self._report_file_error('')
         self._unwritten.clear()
+        self._exchange.held_back = ()
 
     def _report_file_error(self, error: str) -> None:
         if error and error != self.diagnostics.exchange_file_error:

@@ -13,6 +13,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.peers.messages import read
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
@@ -367,6 +368,35 @@ def test_what_a_full_disk_does_not_take_is_written_later(clock, tmp_path, monkey
     known, before = (peer.team.logs.contents('p').measurements() for peer in (again, run))
     assert len(known) == len(before) > 50
     again.discard_files()
+
+
+def test_a_robot_that_is_killed_while_its_disk_is_full_goes_on_with_the_others(
+    clock, tmp_path, monkeypatch
+):
+    """Blocks that others had, and that its file lacks, would be followed by other ones."""
+    path, given = tmp_path / 'p.exchange', messages()
+    sessions = {'p': session('p', 'q', exchange_file=str(path)), 'q': session('q', 'p')}
+    fed(sessions, given[:200], clock)
+    exchanged(sessions, clock, 6.0)
+    stored = path.read_bytes()
+    with monkeypatch.context() as full:
+        full.setattr(os, 'fsync', failing)
+        fed(sessions, given[200:400], clock)
+        exchanged(sessions, clock, 2.0)
+    sessions['p'].discard_files()
+    path.write_bytes(stored)
+
+    sessions['p'] = session('p', 'q', exchange_file=str(path))
+    fed(sessions, given[400:], clock)
+    exchanged(sessions, clock, 10.0)
+
+    known = {
+        name: [identity(m) for m in run.team.logs.contents('p').measurements()]
+        for name, run in sessions.items()}
+    assert known['q'] == known['p']
+    last = max(m.stamp for m in sessions['p'].team.logs.contents('p').measurements())
+    assert last == max(m.stamp for m in sessions['q'].team.logs.contents('q').measurements())
+    sessions['p'].discard_files()
 
 
 def failing(_):
