@@ -22,7 +22,8 @@ from helpers.optional import optional
 from helpers.paths import BAGS
 from helpers.processes import end_session, start
 from helpers.radio import central, is_measurement, poses_in_frame_of, team_settings
-from helpers.ros import csv_rows, run_verb, summary_of, write_parameters
+from helpers.ros import (
+    csv_rows, meeting, raw_record, run_verb, summary_of, write_parameters)
 
 live_helpers = optional('helpers.live')
 services = optional('rcl_interfaces.srv')
@@ -131,6 +132,30 @@ def test_a_smoother_that_is_killed_and_restarted_ends_with_the_central_result(do
     # What was measured more than a second before is not lost.
     limit = (killed - 1) * 1e9
     assert np.sum(of_p[:, 0] < limit) == np.sum(expected['p'][:, 0] < limit)
+
+
+def test_the_last_steps_of_a_robot_are_released_and_solved_although_hellos_go_on(
+    domain, tmp_path
+):
+    smoother = domain.start(
+        'smoother', '--ros-args', '--params-file',
+        write_parameters(
+            tmp_path / 'r1.yaml', robots=['r1'], peers=['r2'],
+            **live_helpers.reliable_inputs(['r1'])))
+    published = domain.listen('r1/pose', live_helpers.POSE)
+    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    domain.until(lambda: reports)
+    records = [record for record in meeting(20) if getattr(record, 'robot', '') == 'r1']
+    domain.send(*map(raw_record, records))
+
+    # The last step waits for later odometry otherwise, and a solution for 50 poses.
+    domain.until(lambda: len(published) == 20)
+    domain.until(lambda: any(
+        value.key == 'solve_time_s' and float(value.value) > 0.0
+        for status in reports[-1].status for value in status.values))
+    values = {value.key: value.value for s in reports[-1].status for value in s.values}
+    assert int(values['exchange_messages']) > 0
+    assert domain.finish(smoother, signal.SIGINT)[0] == 0
 
 
 def robot_bag(folder, name, records):

@@ -39,6 +39,7 @@ from fej_slam_ros.ros.session.diagnostics import also_published
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.late_starts import NothingMissed
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 from fej_slam_ros.ros.session.session import Session
 
 #: Period of /diagnostics [s], as REP-107 recommends.
@@ -131,8 +132,8 @@ class SessionNode(SettingsNode):
                 self.create_service(Trigger, '~/reset', self._reset),
                 self.create_service(Trigger, '~/save', self._saver.save)):
             self._configured.callback(self.destroy_service, service)
-        team = self._session.log.description()
-        self.get_logger().info(f'configured: {team}; {self._input_names()}')
+        names = log_writer.grouped(map(self.resolve_topic_name, self._session.inputs.topics))
+        self.get_logger().info(f'configured: {self._session.log.description()}; inputs {names}')
 
     def activate(self) -> None:
         """Subscribe to the inputs and start the timers."""
@@ -317,14 +318,13 @@ class SessionNode(SettingsNode):
         inputs = self._session.inputs
         return inputs.topics | (inputs.static_topics if is_installed(TF_TYPE) else {})
 
-    def _input_names(self) -> str:
-        names = log_writer.grouped(map(self.resolve_topic_name, self._session.inputs.topics))
-        return f'inputs {names}'
-
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         with self.timed_callback():
             self.received += 1
-            self._last_input = now = self._now()
+            now = self._now()
+            # Steps do not wait for smoothers of other robots, whose hellos never end.
+            if topic != EXCHANGE_TOPIC:
+                self._last_input = now
             # Predicted poses do not wait for the steps.
             self._topics.publish(self._session.receive(RawMessage(topic, type_name, now, raw)))
             if self._session.inputs.time_jump_detector.has_ended_run() and not self._is_in_step:
