@@ -73,6 +73,16 @@ class InputStatistics:
         self.relocalized[robot] += 1
         self.restart_reasons[robot] = reason
 
+    def take_over(self, robot: str, other: 'InputStatistics') -> None:
+        """Replace the counts of a robot by those of other statistics."""
+        for own, counts in (
+                (self.received, other.received), (self.rejected, other.rejected),
+                (self.observations_used, other.observations_used),
+                (self.relocalized, other.relocalized),
+                (self.released_without, other.released_without)):
+            own[robot] = counts[robot]
+        self.rejection_counts[robot] = other.rejection_counts[robot].copy()
+
     def total(self, reason: RejectionReason) -> int:
         """Return the number of rejections of all robots for a reason."""
         return sum(counts[reason] for counts in self.rejection_counts.values())

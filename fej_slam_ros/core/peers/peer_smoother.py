@@ -107,6 +107,8 @@ class PeerSmoother(TeamSmoother):
             name: trajectory for name, trajectory in union.trajectories.items()
             if name != self.robot}
         self.trajectories = ({} if own is None else {self.robot: own}) | others
+        for name in others:
+            self.statistics.take_over(name, union.statistics)
         for solved in union.solution.maps:
             if own is not None and self.robot in solved.trajectories:
                 # The union has further poses, at which others have seen this robot.

@@ -445,3 +445,35 @@ def test_robots_that_list_each_other_have_the_same_ids():
         for name, peers in {'a': ['c', 'b'], 'b': ['a', 'c'], 'c': ['a', 'b']}.items()}
 
     assert ids['a'] == ids['b'] == ids['c'] == {'a': 1, 'b': 2, 'c': 3}
+
+
+def test_the_summary_of_each_robot_counts_the_observations_of_all_as_the_central_one(
+    clock, tmp_path
+):
+    sessions = {
+        'p': session('p', 'q', tmp_path / 'p'), 'q': session('q', 'p', tmp_path / 'q')}
+    fed(sessions, messages(), clock)
+    exchanged(sessions, clock, 10.0)
+
+    expected = central().write_files()['robots']
+    for run in sessions.values():
+        found = closed(run).write_files()['robots']
+        for name in 'pq':
+            assert found[name]['sightings_used'] == expected[name]['sightings_used'] > 0
+
+
+def test_what_a_robot_rejects_of_the_log_of_another_is_counted(clock, tmp_path):
+    """It has another limit of observations than the author."""
+    sessions = {
+        'p': session('p', 'q', tmp_path / 'p', max_observations=5), 'q': session('q', 'p')}
+    fed(sessions, messages(), clock)
+    exchanged(sessions, clock, 10.0)
+
+    strict = BagSmootherSession(settings(['p', 'q'], max_observations=5), None)
+    for message in messages():
+        list(strict.receive(message))
+        list(strict.take())
+    expected, found = (closed(run).write_files()['robots'] for run in (strict, sessions['p']))
+    for name in 'pq':
+        assert found[name]['refusals'] == expected[name]['refusals']
+        assert found[name]['refusals']['too_large'] > 10
