@@ -34,8 +34,7 @@ class Robot:
     name: str
     slot: Slot
     stamp: int
-    #: variance [rad^2] of its turn by odometry since an update by its observations or of it, or
-    #: a join that left its heading less uncertain
+    #: variance [rad^2] of its turn by odometry since an update by its observations or of it
     turn_variance: float = 0.0
 
 

@@ -222,10 +222,6 @@ def joined_state(
     state = _combined(team, new, x_hat, x_first, np.block([
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
-    for name in group.robots:
-        robot = state.robots[name]
-        # The join has corrected its heading, too.
-        robot.turn_variance = min(robot.turn_variance, float(state.marginal([robot])[2, 2]))
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
         [key for key in team.rendezvous_points if key in group.rendezvous_points], [state])

@@ -99,17 +99,6 @@ def what_is_known(kind, state):
     return P - unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
 
 
-@pytest.mark.parametrize('before', [0.1, 1e-9])
-def test_a_join_corrects_the_heading_that_a_long_turn_has_made_uncertain(before):
-    team, group, g = two_maps()
-    group.robots['r2'].turn_variance = before
-
-    robot = joined_state(team, group, g, FirstEstimates()).robots['r2']
-
-    # Landmarks seen to 0.1 m, metres apart, determine it to less than 0.1 rad.
-    assert robot.turn_variance <= min(before, 0.1 ** 2)
-
-
 @pytest.mark.parametrize('kind', CONSISTENT)
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_where_everything_is_stays_as_unknown_as_it_was(seed, kind):
