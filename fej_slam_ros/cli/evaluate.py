@@ -46,6 +46,9 @@ from fej_slam_ros.tables import interval, text_table
 RPE_LENGTHS = (1.0, 10.0)
 COVARIANCE_HEADER = (
     'stamp_ns', 'cov_xx', 'cov_xy', 'cov_xyaw', 'cov_yy', 'cov_yyaw', 'cov_yawyaw', 'nees')
+#: Ratio of unaligned errors to those with the team aligned, and NEES/3, of which both are above
+#: it only where the ground truth is in another frame.
+OTHER_FRAME = 10.0
 CONSISTENCY_HEADINGS = (
     'robot', 'NEES/3', '95 % band', 'if independent', 'inside 1 sigma', '2', '3', '95 %',
     'NIS/dof', '95 % band')
@@ -176,7 +179,19 @@ def _tables(report: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:
     for name, robot in robots.items():
         if robot['frame'] != 'map':
             yield f'{name} was never in map: it is compared only after its own alignment'
+    if _is_in_another_frame(report['all']):
+        yield (
+            'The ground truth is probably in another frame than map: then only aligned errors and'
+            ' RPE have a meaning.')
     yield 'Errors are RMSE. The band of NEES/3 is for the estimated number of independent poses.'
+
+
+def _is_in_another_frame(total: Mapping[str, Any]) -> bool:
+    """Return whether one motion of the team explains nearly all errors, and no covariance does."""
+    unaligned, aligned, nees = total['ape'][UNALIGNED], total['ape'][TEAM_ALIGNED], total['nees']
+    return None not in (unaligned, aligned, nees) and (
+        unaligned['position']['rmse'] > OTHER_FRAME * aligned['position']['rmse']
+        and nees['mean'] > OTHER_FRAME)
 
 
 def _error_row(name: str, row: Mapping[str, Any], lengths: Sequence[str]) -> tuple[str, ...]:

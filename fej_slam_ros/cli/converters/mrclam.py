@@ -123,7 +123,7 @@ def _report(
     if not any(settings.anchor_sigma):
         yield (
             f'map begins where {settings.anchor} starts, which has no true pose in its first'
-            ' minute, and is not in the frame of any ground truth')
+            ' five minutes, and is not in the frame of any ground truth')
     for robot in ROBOT_SUBJECTS:
         if robot not in data.logs:
             yield (

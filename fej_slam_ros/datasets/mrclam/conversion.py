@@ -44,7 +44,7 @@ JOIN_HEADING_SIGMA = 0.05
 #: Standard deviations of motion capture [m, m, rad], and the maximum time [ns] from a robot's
 #: first odometry to the true pose from which its start is computed.
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
-MAX_START_DELAY = 60 * NS
+MAX_START_DELAY = 300 * NS
 #: Standard deviation of the heading at its start [rad] above which the anchor begins at its first
 #: true pose instead.
 GOOD_HEADING_SIGMA = 0.05
@@ -225,8 +225,8 @@ def settings(
     """
     Return the settings of a run in the frame of the ground truth.
 
-    The anchor starts at the origin if there is no ground truth in its first minute. The other
-    robots' starts are unknown, or taken from the ground truth as well.
+    The anchor starts at the origin if there is no ground truth in its first five minutes. The
+    starts of the other robots are unknown, or taken from the ground truth as well.
     """
     starts = {robot: start(log, options) for robot, log in data.logs.items()}
     anchor = _anchor(data, starts, options)
