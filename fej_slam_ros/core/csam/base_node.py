@@ -34,6 +34,8 @@ FIRST_WINDOW = 8
 ALIGNMENT_TOLERANCE = 1e-8
 #: Maximum number of steps; ten are enough from a good start.
 MAX_ALIGNMENT_ITERATIONS = 30
+#: Minimum number of observations that determine a base node.
+MIN_OBSERVATIONS = 2
 #: Smallest ratio of diagonal entries of R_sqrt; below it an entry is a rounded zero.
 MIN_DIAGONAL_RATIO = 1e-13
 
@@ -107,8 +109,9 @@ def align(
     p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
 ) -> Alignment | JoinFailure:
     """Return the base node of two maps from observations in the order of time."""
-    if len(observations.z) < 2:
-        return JoinFailure('not enough observations: 1 of the 2 that are needed')
+    if len(observations.z) < MIN_OBSERVATIONS:
+        return JoinFailure(
+            f'not enough observations: 1 of the {MIN_OBSERVATIONS} that are needed')
     algorithm = _Algorithm1(p, q, observations)
     starts = [*algorithm.starts()]
     if not starts:
@@ -210,7 +213,9 @@ class _Algorithm1:
         # Decrease n^T (I - Q Q^T)^-1 n with the rows of A' = Q R_sqrt and the residuals n of an
         # observation; n alone is small where the maps give way to an outlier.
         rows, n = at.Q[-2 * m:].reshape(m, 2, -1), at.b[-2 * m:].reshape(-1, 2)
-        d2 = squared_distances(n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
+        # Of two observations both are needed, and neither can be tested.
+        d2 = np.zeros(m) if m == MIN_OBSERVATIONS else squared_distances(
+            n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
         return Alignment(BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations, d2)
 
     def linearize(self, x: _Nodes) -> _LinearizedAlignment:

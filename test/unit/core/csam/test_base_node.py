@@ -12,8 +12,8 @@ from scipy.optimize import least_squares as scipy_least_squares
 
 from fej_slam_ros.core.csam import maps
 from fej_slam_ros.core.csam.base_node import align
-from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.join_rules import JoinRules
+from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.join_failure import JoinFailure
 from helpers.csam import in_another_frame, Met, rendezvous_of, true_base_node
@@ -153,6 +153,14 @@ def test_one_observation_is_not_enough():
     failure = aligned(Met(6, [(0, 1, 4)]))
 
     assert failure == JoinFailure('not enough observations: 1 of the 2 that are needed')
+
+
+def test_neither_of_two_observations_can_be_tested():
+    # Side by side at their starts, which no error of the maps displaces.
+    with np.errstate(all='raise'):
+        found = aligned(Met(1, [(0, 1, 0), (1, 0, 0)]))
+
+    assert_array_equal(found.d2, 0.0)
 
 
 def test_observations_at_one_position_do_not_determine_the_heading():
