@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Order of a robot's rows whose stamps step back.
+Order of a robot's rows whose stamps step back, and rows of a clock that was set.
 
 Rows that were written late are sorted. Where a clock was set back, the landmarks before and after
 show that the robot drives on, and one clock continues through both parts. Other rows are of
-another recording, and left out.
+another recording, and left out. Where a clock was set forward there is a gap, as there is where
+nothing was recorded; true poses or other robots tell them apart.
 """
 
 from collections import Counter
@@ -17,7 +18,7 @@ import numpy as np
 from fej_slam_ros.core.ordering.backward_stamps import (
     breaks, period, recorded_order, steps_back)
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
+from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence, MAX_ERROR_RATIO
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP, positions
 from fej_slam_ros.datasets.mrclam.series import drop, joined, Series, Stamps
 
@@ -31,6 +32,8 @@ MOST = 0.75
 #: Share of copies among the rows at a time that was passed before, if these are repeated, and
 #: number of different ones: rows of another time may be equal by chance.
 MIN_COPIES, MIN_DIFFERENT = 0.8, 3
+#: Longest time without rows [ns] that is no sign of a clock that was set forward.
+MAX_GAP = 3 * NS // 2
 
 
 def in_order(
@@ -49,8 +52,19 @@ def in_order(
     what = 'stamp steps back' + ('' if breaks(commands.stamps) else ' (put in order)')
     counts[what] += sum(
         int((np.diff(series.stamps) < 0).sum()) for series in (commands, observations))
-    if not steps_back(commands.stamps):
-        return ClockPart(commands.in_order(), observations.in_order())
+    if steps_back(commands.stamps):
+        part = _without_steps_back(commands, observations, evidence, counts)
+    else:
+        part = ClockPart(commands.in_order(), observations.in_order())
+    for row in (np.flatnonzero(np.diff(part.commands.stamps) > MAX_GAP) + 1).tolist():
+        part = _without_step_forward(part, row, evidence, counts)
+    return part
+
+
+def _without_steps_back(
+    commands: Series, observations: Series, evidence: ClockEvidence, counts: Counter[str]
+) -> ClockPart:
+    """Return the rows of the longest drive, and of others just before and after it."""
     commands, observations = (
         _without_repeated(series, counts) for series in (commands, observations))
     if breaks(commands.stamps):
@@ -133,6 +147,34 @@ def _goes_on(earlier: ClockPart, later: ClockPart, moving: Container[int]) -> bo
     if differences:
         return float(np.quantile(differences, MOST)) <= 1.0
     return shift <= MAX_STEP
+
+
+def _without_step_forward(
+    part: ClockPart, row: int, evidence: ClockEvidence, counts: Counter[str]
+) -> ClockPart:
+    """Return the rows on the clock before or after the gap at a row, if it was set forward."""
+    end, begin = part.commands.stamps[[row - 1, row]].tolist()
+    if len(part.observations.between(end + 1, begin - 1)):
+        return part
+    is_later = part.observations.stamps >= begin
+    earlier = ClockPart(
+        part.commands[:row], part.observations.where(~is_later),
+        tuple(stamp for stamp in part.joints if stamp < begin))
+    later = ClockPart(
+        part.commands[row:], part.observations.where(is_later),
+        tuple(stamp for stamp in part.joints if stamp >= begin))
+    shift = _shift(earlier.commands, later.commands)
+    drives = [
+        part, earlier.with_rows_of(later.shifted(shift)),
+        earlier.shifted(-shift).with_rows_of(later)]
+    errors = evidence.errors(drives)
+    if errors is None or min(errors) >= MAX_ERROR_RATIO * errors[0]:
+        return part
+    chosen = int(np.argmin(errors))
+    moved, offset = (later, shift) if chosen == 1 else (earlier, -shift)
+    counts[f'row shifted by {offset / NS:+.3f} s (its clock was set forward)'] += (
+        len(moved.commands) + len(moved.observations))
+    return drives[chosen]
 
 
 def _landmark_differences(

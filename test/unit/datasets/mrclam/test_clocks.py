@@ -125,6 +125,48 @@ def test_a_clock_that_was_set_back_goes_on_as_true_poses_tell(back, when, right)
     assert abs(float(shifted.split()[3])) == pytest.approx(back, abs=PERIOD)
 
 
+@pytest.mark.parametrize('forward', [2.0, 30.0])
+@pytest.mark.parametrize('right', ['before', 'after'])
+def test_a_clock_that_was_set_forward_goes_on_as_true_poses_tell(forward, right):
+    *series, truth = drive(4)
+    before, after = (0.0, forward) if right == 'before' else (-forward, 0.0)
+    stepped = [joined([
+        s.where(s.stamps < at(60)).shifted(round(before * S)),
+        s.where(s.stamps >= at(60)).shifted(round(after * S))]) for s in series]
+
+    found, seen, counts = ordered(*stepped, truth)
+
+    for result, expected in zip((found, seen), series):
+        np.testing.assert_array_equal(result.rows, expected.rows)
+        assert np.abs(result.stamps - expected.stamps).max() <= PERIOD * S
+    (shifted,) = counts
+    assert abs(float(shifted.split()[3])) == pytest.approx(forward, abs=PERIOD)
+
+
+@pytest.mark.parametrize('known', [True, False])
+def test_a_gap_in_a_log_is_no_clock_that_was_set_forward(known):
+    *series, truth = drive(4)
+    with_gap = [s.where((s.stamps < at(60)) | (s.stamps >= at(70))) for s in series]
+
+    found, seen, counts = ordered(*with_gap, truth if known else UNUSED)
+
+    assert_equal(found, with_gap[0])
+    assert_equal(seen, with_gap[1])
+    assert counts == {}
+
+
+def test_a_clock_that_may_have_been_set_forward_is_kept_where_nothing_tells():
+    commands, observations, _ = drive(4)
+    forward = commands.shifted(5 * S)
+    stepped = joined([commands.where(commands.stamps < at(60)), forward.where(
+        forward.stamps >= at(65))])
+
+    found, _, counts = ordered(stepped, observations.where(observations.stamps < at(60)))
+
+    assert_equal(found, stepped)
+    assert counts == {}
+
+
 def meetings(truth, other, subject):
     """Return observations of another robot at the stamps of true poses."""
     x, y, phi = truth.rows.T
