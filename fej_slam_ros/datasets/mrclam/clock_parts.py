@@ -30,6 +30,18 @@ class ClockPart:
             self.commands.shifted(shift), self.observations.shifted(shift),
             tuple(stamp + shift for stamp in self.joints))
 
+    def divided(self, row: int) -> tuple['ClockPart', 'ClockPart']:
+        """Return the rows before the command at a row, and from it on."""
+        begin = self.commands.stamps[row]
+        is_later = self.observations.stamps >= begin
+        return (
+            ClockPart(
+                self.commands[:row], self.observations.where(~is_later),
+                tuple(stamp for stamp in self.joints if stamp < begin)),
+            ClockPart(
+                self.commands[row:], self.observations.where(is_later),
+                tuple(stamp for stamp in self.joints if stamp >= begin)))
+
     def is_next_to(self, other: 'ClockPart') -> bool:
         """Return whether all commands of one are soon after those of the other."""
         begins, ends = zip(*((part.commands.stamps[0], part.commands.stamps[-1]) for part in (

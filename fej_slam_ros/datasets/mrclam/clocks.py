@@ -125,8 +125,7 @@ def _division(stamps: Stamps, begin: int, commands: Stamps, row: int) -> tuple[i
     steps = np.diff(own, prepend=own[:1])
     steps[1:][(own[1:] < low - COMPARED_TIME) | (own[:-1] > high + COMPARED_TIME)] = 0
     if len(own) and steps.min() < 0:
-        first = begin + int(steps.argmin())
-        return first, first
+        return (begin + int(steps.argmin()),) * 2
     if len(own) and commands[row:].max() < min(high, own[-1]):
         return len(stamps), len(stamps)
     first = begin + int(np.append(own >= low, True).argmax())
@@ -156,13 +155,7 @@ def _without_step_forward(
     end, begin = part.commands.stamps[[row - 1, row]].tolist()
     if len(part.observations.between(end + 1, begin - 1)):
         return part
-    is_later = part.observations.stamps >= begin
-    earlier = ClockPart(
-        part.commands[:row], part.observations.where(~is_later),
-        tuple(stamp for stamp in part.joints if stamp < begin))
-    later = ClockPart(
-        part.commands[row:], part.observations.where(is_later),
-        tuple(stamp for stamp in part.joints if stamp >= begin))
+    earlier, later = part.divided(row)
     shift = _shift(earlier.commands, later.commands)
     drives = [
         part, earlier.with_rows_of(later.shifted(shift)),
@@ -171,9 +164,7 @@ def _without_step_forward(
     if errors is None or min(errors) >= MAX_ERROR_RATIO * errors[0]:
         return part
     chosen = int(np.argmin(errors))
-    moved, offset = (later, shift) if chosen == 1 else (earlier, -shift)
-    counts[f'row shifted by {offset / NS:+.3f} s (its clock was set forward)'] += (
-        len(moved.commands) + len(moved.observations))
+    _count_shifted(*((later, shift) if chosen == 1 else (earlier, -shift)), 'set forward', counts)
     return drives[chosen]
 
 
@@ -219,6 +210,11 @@ def _on_one_clock(
     which = 'set back' if errors is not None else 'set back, nothing tells which was right'
     for part, offset in zip(parts, shifts - shifts[chosen]):
         if offset:
-            rows = len(part.commands) + len(part.observations)
-            counts[f'row shifted by {offset / NS:+.3f} s (its clock was {which})'] += rows
+            _count_shifted(part, int(offset), which, counts)
     return drives[chosen]
+
+
+def _count_shifted(part: ClockPart, offset: int, why: str, counts: Counter[str]) -> None:
+    """Count the rows of a part whose clock was set in some way."""
+    counts[f'row shifted by {offset / NS:+.3f} s (its clock was {why})'] += (
+        len(part.commands) + len(part.observations))

@@ -136,7 +136,7 @@ def _delays(
             yield warning(
                 'delayed', name,
                 f'{len(late)} of {len(delays)} messages were recorded up to'
-                f' {seconds(delays.max())} later than the usual delay of {robot}',
+                f' {seconds(float(delays.max()))} later than the usual delay of {robot}',
                 f'raise max_delay (now {settings.max_delay:g} s), or shorten the transport',
                 len(late), int(topic.stamps[late[0]]))
 

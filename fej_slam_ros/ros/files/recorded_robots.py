@@ -103,9 +103,7 @@ class RecordedRobots:
             return (
                 'choose the topics of each robot with --remap, for example'
                 f' --remap /{topic}:=/{[*robots, *self.missing][0]}/odom')
-        return (
-            f'record {ODOMETRY} on {", ".join(wanted)}, or give the topic that has it with'
-            ' --remap')
+        return f'record {ODOMETRY} on {", ".join(wanted)}, or name its topic with --remap'
 
     def recorded_names(self) -> dict[str, str]:
         """Return the recorded name of each robot: the first part of its odometry topic."""

@@ -48,8 +48,7 @@ class Player:
         self._no_wait = no_wait
         self._executor = EventsExecutor()
         self._executor.add_node(node)
-        self._answered_at = 0.0
-        self._rate = rate
+        self._answered_at, self._rate = 0.0, rate
         check_topic_names(node, types)
         self._publishers = {
             name: node.create_publisher(
