@@ -42,6 +42,8 @@ MISSING_MODULES = {
         "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install rosbags'"),
     'foxglove': "pip install '.[foxglove]'",
     'matplotlib': "pip install '.[plot]'",
+    # Since 7.1.4.
+    'rclpy.experimental': 'the installed rclpy is too old: apt install ros-jazzy-rclpy',
     # Not on PyPI.
     'tf2_msgs': 'apt install ros-jazzy-tf2-msgs',
     'distributed': "pip install '.[dask]'"}
@@ -113,7 +115,8 @@ def _explained(error: UserError | OSError | ModuleNotFoundError) -> tuple[str, i
     if isinstance(error, UserError):
         return str(error), 2 if isinstance(error, UsageError) else 1
     if isinstance(error, ModuleNotFoundError):
-        cure = MISSING_MODULES.get((error.name or '').partition('.')[0], NO_ROS)
+        name = error.name or ''
+        cure = MISSING_MODULES.get(name, MISSING_MODULES.get(name.partition('.')[0], NO_ROS))
         return f'the Python module {error.name} is missing: {cure}', 1
     if error.errno == errno.ENAMETOOLONG:
         return f'{error.filename} has a name that is too long: give a shorter path', 2
