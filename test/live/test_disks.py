@@ -7,7 +7,9 @@ import signal
 
 import pytest
 
+from fej_slam_ros.core.peers.team_logs import LogContents
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.disks import Disk, why_none
 from helpers.optional import optional
@@ -39,7 +41,8 @@ class Run:
         self.poses = domain.listen('r1/pose', live_helpers.POSE)
         self.reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
         domain.until(lambda: self.reports)
-        records = [raw_record(record) for record in meeting(STEPS)]
+        robots = values.get('robots', ROBOTS)
+        records = [raw_record(record) for record in meeting(STEPS) if record.robot in robots]
         middle = len(records) // 2
         self.halves = records[:middle], records[middle:]
         # A topic that the node discovers after the others would be late in a burst; the records of
@@ -192,6 +195,53 @@ def test_a_disk_that_takes_nothing_delays_no_pose_and_no_answer(domain, tmp_path
     assert (status, f'files are in {out}' in last) == (0, True)
     assert len(csv_rows(out / 'trajectory_r1.csv')) == STEPS
     assert summary_of(out)['state_hash'] == undisturbed(run.given)
+
+
+def measurements_in(path):
+    """Return the measurements of r1 in a file of the exchange."""
+    with ExchangeFile(path, 'r1') as file:
+        _, *blocks = (block.content for block in file.blocks)
+    return LogContents('r1', blocks, ()).measurements()
+
+
+def test_a_disk_that_takes_nothing_of_an_exchange_file_delays_no_pose_and_no_reset(
+    domain, tmp_path, disk
+):
+    path = disk.path / 'r1.exchange'
+    run = Run(
+        domain, tmp_path, 'smoother', robots=['r1'], peers=['r2'], exchange_file=str(path))
+
+    disk.freeze()
+    run.go_on()
+    run.until_reported(f'{path} takes no data for', 'blocks wait in memory')
+
+    assert run.ask('reset').success
+    disk.thaw()
+    domain.until(lambda: run.files() == (0, 'no error'))
+    status, lines, last = run.end()
+    assert (status, 'files are not complete' in last) == (0, False)
+    assert sum('the run goes on' in line for line in lines) == 1
+    assert len(measurements_in(path)) == sum(map(len, run.halves))
+
+
+@pytest.mark.parametrize(('fault', 'reason'), [
+    ('fill', 'No space left on device'), ('make_read_only', 'Read-only file system'),
+    ('unmount', 'No such file or directory')])
+def test_an_exchange_file_that_cannot_be_written_is_an_error_also_at_the_end(
+    domain, tmp_path, disk, fault, reason
+):
+    path = disk.path / 'r1.exchange'
+    run = Run(
+        domain, tmp_path, 'smoother', robots=['r1'], peers=['r2'], exchange_file=str(path))
+
+    getattr(disk, fault)()
+    run.go_on()
+    run.until_reported(str(path), reason, 'blocks wait in memory')
+
+    status, _, last = run.end()
+    assert status == 1
+    assert f'files are not complete: cannot write {path}: {reason}' in last
+    assert 'blocks are missing in' in last
 
 
 def test_a_reset_while_the_disk_takes_nothing_begins_a_run_without_files(domain, tmp_path, disk):

@@ -3,12 +3,15 @@
 """
 Files of a live run, which a thread writes: no disk can delay or end the run.
 
-The files are those of `RunFiles`. Poses wait in memory while the disk does not take them.
+Those of `LiveFiles` are the files of `RunFiles`; poses wait in memory while the disk does not take
+them.
 """
 
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from functools import partial
+from pathlib import Path
 from threading import Event, Thread
 from time import monotonic
 from typing import Any
@@ -26,7 +29,69 @@ MAX_WAITING_POSES = 100_000
 SLOW_AFTER = 5.0
 
 
-class LiveFiles:
+class LiveWriter(ABC):
+    """
+    Writes by a thread until the end of the run.
+
+    Parameters
+    ----------
+    path : of the file, or of the folder of the files
+
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._errors: dict[str, str] = {}
+        self._written_at = monotonic()
+        self._is_over, self._is_done = Event(), Event()
+        # A process can end although a disk keeps its thread.
+        Thread(target=self._work, name='files', daemon=True).start()
+
+    @property
+    def error(self) -> str:
+        """Return why the files are not complete or not up to date, '' if they are."""
+        errors = [*self._errors.values()]
+        silence = monotonic() - self._written_at
+        if not errors and silence > SLOW_AFTER and not self._is_done.is_set():
+            return f'{self._path} takes no data for {silence:.0f} s'
+        return '; '.join(errors)
+
+    def wait(self, timeout: float) -> str:
+        """Wait for the end of writing, at most for a timeout [s]; return what is not complete."""
+        if self._is_done.wait(timeout):
+            return self.error
+        return f'{self._path} is not complete: it is still being written'
+
+    @abstractmethod
+    def _flush(self) -> None:
+        """Write what waits, or raise a UserError."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Complete or delete the files at the end of the run."""
+
+    def _work(self) -> None:
+        while not self._is_over.wait(FLUSH_PERIOD):
+            self._try('disk', self._flush)
+        self._try('disk', self._flush)
+        self._try('end', self._finish)
+        self._is_done.set()
+
+    def _try(self, what: str, work: Callable[[], None]) -> None:
+        """Do work; note its error, or that it has none any more."""
+        try:
+            work()
+        except IncompleteError as error:
+            is_disk_reported = 'disk' in self._errors
+            self._errors[what] = error.consequence if is_disk_reported else str(error)
+        except UserError as error:
+            self._errors.setdefault(what, str(error))
+        else:
+            self._errors.pop(what, None)
+            self._written_at = monotonic()
+
+
+class LiveFiles(LiveWriter):
     """
     Files of a live run.
 
@@ -47,20 +112,13 @@ class LiveFiles:
         self._new_robots: deque[str] = deque()
         self._poses: deque[PoseEstimate] = deque()
         self._lost = 0
-        self._errors: dict[str, str] = {}
-        self._written_at = monotonic()
         self._end: Callable[[], None] = self._files.discard
-        self._is_over, self._is_done = Event(), Event()
-        # A process can end although a disk keeps its thread.
-        Thread(target=self._work, name='files', daemon=True).start()
+        super().__init__(files.folder)
 
     @property
     def error(self) -> str:
         """Return why the files are not complete or not up to date, '' if they are."""
-        errors = [*self._errors.values()]
-        silence = monotonic() - self._written_at
-        if not errors and silence > SLOW_AFTER and not self._is_done.is_set():
-            errors = [f'{self.folder} takes no data for {silence:.0f} s']
+        errors = [*filter(None, [super().error])]
         if errors and self._poses:
             errors.append(f'{len(self._poses)} poses wait in memory')
         if self._lost:
@@ -93,18 +151,8 @@ class LiveFiles:
             self._complete, [*poses], [*maps], shared_ids, **contents)
         self._is_over.set()
 
-    def wait(self, timeout: float) -> str:
-        """Wait for the end of writing, at most for a timeout [s]; return what is not complete."""
-        if self._is_done.wait(timeout):
-            return self.error
-        return f'{self.folder} is not complete: it is still being written'
-
-    def _work(self) -> None:
-        while not self._is_over.wait(FLUSH_PERIOD):
-            self._try('disk', self._flush)
-        self._try('disk', self._flush)
-        self._try('end', self._end)
-        self._is_done.set()
+    def _finish(self) -> None:
+        self._end()
 
     def _complete(self, poses: Iterable[PoseEstimate], *args: Any, **contents: Any) -> None:
         waiting, self._poses = self._poses, deque()
@@ -120,16 +168,3 @@ class LiveFiles:
         while self._poses:
             self._files.write([self._poses.popleft()])
         self._files.flush()
-        self._written_at = monotonic()
-
-    def _try(self, what: str, work: Callable[[], None]) -> None:
-        """Do work; note its error, or that it has none any more."""
-        try:
-            work()
-        except IncompleteError as error:
-            is_disk_reported = 'disk' in self._errors
-            self._errors[what] = error.consequence if is_disk_reported else str(error)
-        except UserError as error:
-            self._errors.setdefault(what, str(error))
-        else:
-            self._errors.pop(what, None)

@@ -3,6 +3,7 @@
 """The files of the runs of a node: no disk delays or ends a run, and what fails is logged."""
 
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
@@ -12,6 +13,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.checkpoint_writer import CheckpointWriter
+from fej_slam_ros.ros.files.exchange_file import ExchangeFile, LiveExchangeFile
 from fej_slam_ros.ros.files.live_files import LiveFiles
 from fej_slam_ros.ros.files.run_files import RunFiles
 
@@ -24,7 +26,7 @@ END_WAIT = 20.0
 
 class NodeFiles:
     """
-    Files of the parameters ``output`` and ``checkpoint``.
+    Files of the parameters ``output``, ``checkpoint`` and ``exchange_file``.
 
     Attributes
     ----------
@@ -40,6 +42,7 @@ class NodeFiles:
         self._notes: dict[str, str] = {}
         self._logged: set[str] = set()
         self._checkpoint: CheckpointWriter | None = None
+        self._exchange: LiveExchangeFile | None = None
         self.has_failed = False
 
     def open(
@@ -69,6 +72,14 @@ class NodeFiles:
     def open_checkpoint(self, path: str) -> None:
         """Lock the file for checkpoints, unless its name is empty."""
         self._checkpoint = CheckpointWriter(Path(path)) if path else None
+
+    def open_exchange(
+        self, path: Path, robot: str
+    ) -> AbstractContextManager[LiveExchangeFile]:
+        """Open the file of the exchange of a robot, or let a run after a reset go on with it."""
+        if self._exchange is None:
+            self._exchange = LiveExchangeFile(ExchangeFile(path, robot))
+        return nullcontext(self._exchange)
 
     @property
     def is_saving(self) -> bool:
@@ -117,6 +128,10 @@ class NodeFiles:
         if self._checkpoint is not None:
             self._checkpoint.close()
         self._checkpoint = None
+        if self._exchange is not None:
+            self._exchange.finish()
+            self._exchange.wait(REQUEST_WAIT)
+        self._exchange = None
         self._ended.clear()
         self._is_first = True
 
@@ -126,9 +141,11 @@ class NodeFiles:
         if self._run is not None:
             output.append(self._run.error)
         saving = [self._checkpoint.error] if self._checkpoint is not None else []
+        exchange = [self._exchange.error] if self._exchange is not None else []
         found = {
             name: '; '.join(filter(None, dict.fromkeys([*errors, self._notes.get(name)])))
-            for name, errors in (('output', output), ('checkpoint', saving))}
+            for name, errors in (
+                ('output', output), ('checkpoint', saving), ('exchange_file', exchange))}
         return {name: error for name, error in found.items() if error}
 
     def check(self) -> dict[str, str]:
@@ -144,14 +161,17 @@ class NodeFiles:
     def finish(self) -> bool:
         """Wait for all files at the end; log what is not complete; return whether all is."""
         deadline = monotonic() + END_WAIT
+        if self._exchange is not None:
+            self._exchange.finish()
         self.end(END_WAIT)
         for files in self._ended:
             files.wait(max(0.0, deadline - monotonic()))
-        saving = '' if self._checkpoint is None else self._checkpoint.wait(
-            max(0.0, deadline - monotonic()))
-        errors = self.errors()
-        if saving:
-            errors.setdefault('checkpoint', saving)
+        waited = {
+            name: writer.wait(max(0.0, deadline - monotonic()))
+            for name, writer in (
+                ('checkpoint', self._checkpoint), ('exchange_file', self._exchange))
+            if writer is not None}
+        errors = {name: error for name, error in (waited | self.errors()).items() if error}
         self.has_failed |= bool(errors)
         for error in errors.values():
             self._log.error(f'files are not complete: {error}')

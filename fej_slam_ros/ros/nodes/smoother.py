@@ -8,6 +8,7 @@ long, so another process computes it from a copy of them; poses added meanwhile 
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 import sys
 from time import perf_counter, sleep
@@ -57,7 +58,9 @@ class SmootherNode(SessionNode):
     def new_session(self, settings: RunSettings) -> SmootherSession:
         """Return a new session, which solves for no complete map in this process."""
         folder = Path(settings.node.output) if settings.node.output else None
-        new = PeerSession if settings.node.peers else SmootherSession
+        new = (
+            partial(PeerSession, open_exchange=self._files.open_exchange) if settings.node.peers
+            else SmootherSession)
         session = new(
             settings, folder, solve_every=sys.maxsize, open_files=self._files.open,
             solve_finally=self._solve_finally)

@@ -40,7 +40,6 @@ EXPLANATIONS = {
 class PeerDiagnostics(SmootherDiagnostics):
     """Reports on the own robot, and on what has been exchanged with others."""
 
-    exchange_file_error = ''  #: why the file of the exchange is not complete, set by the caller
     _consumer: PeerSmoother
 
     def __init__(
@@ -86,11 +85,6 @@ class PeerDiagnostics(SmootherDiagnostics):
         return {
             **values, 'blocks': 0 if log is None else len(log.blocks),
             'bytes_received': peer.bytes_received, 'aligned_by_rendezvous': aligned}
-
-    def _files(self) -> Message:
-        if self.exchange_file_error:
-            self.file_errors = {**self.file_errors, 'exchange_file': self.exchange_file_error}
-        return super()._files()
 
     def _overall(self, now: int, at_rest: bool) -> Message:
         status = super()._overall(now, at_rest)

@@ -3,7 +3,7 @@
 """One run of the smoother of one robot that exchanges its measurements with others."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic_ns, time_ns
@@ -27,10 +27,9 @@ from fej_slam_ros.core.settings import NoiseSettings, Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
-from fej_slam_ros.ros.files.exchange_file import ExchangeFile
+from fej_slam_ros.ros.files.exchange_file import ExchangeFile, LiveExchangeFile
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
 from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
-from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_reports import PeerDiagnostics, PeerLog
 from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs, TEAM_TYPES
@@ -42,6 +41,9 @@ EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
 RENDEZVOUS_PERIOD = NS
 #: Number of new poses that a block of another robot counts as, for the decision to solve.
 BLOCK_POSES = 10
+
+#: Opens the file of the exchange of a robot.
+ExchangeOpener = Callable[[Path, str], AbstractContextManager[ExchangeFile | LiveExchangeFile]]
 
 
 class PeerInputs(Inputs):
@@ -82,7 +84,10 @@ class PeerSession(SmootherSession):
     """
     A smoother of one robot between its inputs, the messages of other smoothers, and its outputs.
 
-    Parameters and attributes are those of `SmootherSession`.
+    Parameters
+    ----------
+    open_exchange : opens the file of the exchange until the end of a context
+    arguments, options : as for `SmootherSession`
 
     """
 
@@ -91,12 +96,15 @@ class PeerSession(SmootherSession):
     diagnostics: PeerDiagnostics
     log: PeerLog
 
-    def __init__(self, *arguments: Any, **options: Any) -> None:
-        self._file: ExchangeFile | None = None
-        with ExitStack() as on_error:
-            on_error.callback(self._close_file)
+    def __init__(
+        self, *arguments: Any, open_exchange: ExchangeOpener = ExchangeFile, **options: Any
+    ) -> None:
+        self._open_exchange = open_exchange
+        self._file: ExchangeFile | LiveExchangeFile | None = None
+        with ExitStack() as resources:
+            self._resources = resources
             super().__init__(*arguments, **options)
-            on_error.pop_all()
+            self._resources = resources.pop_all()
 
     def _create(self, solve_every: int) -> None:
         settings, node = self.settings.estimation, self.settings.node
@@ -109,7 +117,8 @@ class PeerSession(SmootherSession):
         own, *others = settings.robots
         logs = TeamLogs(own.name, time_ns(), own)
         if node.exchange_file:
-            self._file = ExchangeFile(Path(node.exchange_file), own.name)
+            self._file = self._resources.enter_context(
+                self._open_exchange(Path(node.exchange_file), own.name))
             self._restore(self._file.blocks, logs, own)
         self._exchange = PeerExchange(logs, ExchangeSettings(
             frozenset(robot.name for robot in others), round(node.exchange_period * NS),
@@ -124,7 +133,6 @@ class PeerSession(SmootherSession):
         # computation of one is followed by a solution, if there is anything new to solve.
         self._last_rendezvous: dict[str, tuple[int, tuple[int, int, int]]] = {}
         self._is_after_rendezvous = False
-        self._unwritten: list[Block] = []
         self._store()
 
     def _restore(self, blocks: Sequence[Block], logs: TeamLogs, own: NoiseSettings) -> None:
@@ -223,43 +231,25 @@ class PeerSession(SmootherSession):
         yield from super().close()
         self.team.logs.flush()
         self._store()
-        self._close_file()
+        self._resources.close()
 
     def discard_files(self) -> None:
         """Delete the files that are not complete; the file of the exchange is kept."""
         super().discard_files()
-        self._close_file()
-
-    def _close_file(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
+        self._resources.close()
 
     def _store(self) -> None:
-        """Write new blocks to the file of the exchange, and count what is new of other robots."""
+        """Add new blocks to the file of the exchange, and count what is new of other robots."""
         blocks = self.team.logs.take_new_blocks()
         self.team.new_poses += sum(
             BLOCK_POSES for block in blocks
             if block.log.author != self.team.robot and not block.log.about)
-        self._unwritten += blocks
-        if self._file is not None and self._unwritten:
-            try:
-                self._file.append(self._unwritten)
-            except UserError as error:
-                self._report_file_error(str(error))
-                # Nothing is sent that a restarted process would not have.
-                self._exchange.held_back = {
-                    (block.log, block.run, block.number) for block in self._unwritten
-                    if block.log.author == self.team.robot}
-                return
-            self._report_file_error('')
-        self._unwritten.clear()
-        self._exchange.held_back = ()
-
-    def _report_file_error(self, error: str) -> None:
-        if error and error != self.diagnostics.exchange_file_error:
-            self.log.add(LogSeverity.ERROR, f'exchange_file is not complete: {error}')
-        self.diagnostics.exchange_file_error = error
+        if self._file is not None:
+            self._file.append(blocks)
+            # Nothing is sent that a restarted process would not have.
+            self._exchange.held_back = {
+                (block.log, block.run, block.number) for block in self._file.waiting
+                if block.log.author == self.team.robot}
 
     def _due_rendezvous(self) -> str | None:
         """Return a robot in reach that has not joined, if more of its rendezvous is known."""

@@ -5,13 +5,16 @@
 from contextlib import suppress
 import errno
 import os
+from threading import Event
 
 import pytest
 
 from fej_slam_ros.core.peers.logs import Block, LogName, NO_DIGEST
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.files.exchange_file import ExchangeFile
+from fej_slam_ros.ros.files import live_files
+from fej_slam_ros.ros.files.exchange_file import ExchangeFile, LiveExchangeFile
 from helpers.disks import Disk, why_none
+from helpers.processes import until
 
 BLOCKS = [Block(LogName('p'), 1, number, NO_DIGEST, bytes(500)) for number in range(8)]
 
@@ -28,7 +31,8 @@ def test_a_fault_of_the_disk_is_named_each_time(tmp_path, fault, reason):
 
         for _ in range(2):
             with pytest.raises(UserError, match=reason):
-                file.append(BLOCKS[1:])
+                file.append(BLOCKS[1:3])
+        assert file.waiting == [*BLOCKS[1:3], *BLOCKS[1:3]]
         file.close()
 
 
@@ -42,21 +46,75 @@ def test_a_file_that_was_deleted_is_named(tmp_path):
     file.close()
 
 
+def failing(_):
+    raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
+def blocks_in(path):
+    """Return the blocks that the next process finds."""
+    with ExchangeFile(path, 'p') as file:
+        return file.blocks
+
+
 def test_what_was_written_in_part_is_not_followed_by_other_blocks(tmp_path, monkeypatch):
     path = tmp_path / 'p.exchange'
     file = ExchangeFile(path, 'p')
     file.append(BLOCKS[:2])
 
-    def failing(_):
-        raise OSError(errno.EIO, os.strerror(errno.EIO))
-
     with monkeypatch.context() as broken:
         broken.setattr(os, 'fsync', failing)
         with suppress(UserError):
             file.append(BLOCKS[2:4])
-    file.append(BLOCKS[2:])
+    file.append(BLOCKS[4:])
     file.close()
 
-    again = ExchangeFile(path, 'p')
-    assert again.blocks == BLOCKS
-    again.close()
+    assert blocks_in(path) == BLOCKS
+
+
+def test_in_a_live_run_what_a_broken_disk_does_not_take_waits_and_is_reported(
+    tmp_path, monkeypatch
+):
+    path = tmp_path / 'p.exchange'
+    file = LiveExchangeFile(ExchangeFile(path, 'p'))
+    with monkeypatch.context() as broken:
+        broken.setattr(os, 'fsync', failing)
+        file.append(BLOCKS)
+        until(lambda: file.error, lambda: None)
+        assert file.error == (
+            f'cannot write {path}: Input/output error: choose a path that can be written;'
+            ' 8 blocks wait in memory')
+        assert file.waiting == BLOCKS
+    until(lambda: not file.waiting, lambda: None)
+    file.finish()
+
+    assert file.wait(10.0) == ''
+    assert blocks_in(path) == BLOCKS
+
+
+def test_a_broken_disk_at_the_end_is_an_error_with_what_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, 'fsync', failing)
+    file = LiveExchangeFile(ExchangeFile(tmp_path / 'p.exchange', 'p'))
+    file.append(BLOCKS)
+    file.finish()
+
+    assert file.wait(10.0).endswith(f'; 8 blocks are missing in {tmp_path / "p.exchange"}')
+
+
+def test_a_disk_that_takes_nothing_delays_only_the_end_of_a_live_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(live_files, 'SLOW_AFTER', 0.0)
+    path, free, begun = tmp_path / 'p.exchange', Event(), Event()
+    monkeypatch.setattr(os, 'fsync', lambda _: (begun.set(), free.wait()))
+    file = LiveExchangeFile(ExchangeFile(path, 'p'))
+
+    file.append(BLOCKS[:2])
+    begun.wait()
+    file.append(BLOCKS[2:])
+
+    # What the disk has begun to take is not safe.
+    assert file.waiting == BLOCKS
+    assert f'{path} takes no data for' in file.error
+    file.finish()
+    assert file.wait(0.05) == f'{path} is not complete: it is still being written'
+    free.set()
+    assert file.wait(10.0) == ''
+    assert blocks_in(path) == BLOCKS
