@@ -16,7 +16,7 @@ from pathlib import Path
 import socket
 
 from fej_slam_ros.atomic_files import make_folder, refuse_existing, writing
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.errors import UsageError, UserError
 
 #: Longest description of a process in the file of a lock [bytes].
 MAX_OWNER = 500
@@ -60,7 +60,11 @@ class OutputLock:
 
     @classmethod
     def of_folder(cls, folder: Path) -> 'OutputLock':
-        """Lock a folder for files."""
+        """Lock a folder for files; UsageError if it is a rosbag2, of which they would be part."""
+        with writing(folder):
+            is_bag = (folder / 'metadata.yaml').exists()
+        if is_bag:
+            raise UsageError(f'{folder} is a rosbag2: choose another folder for the results')
         return cls(folder, folder / '.lock')
 
     def __enter__(self) -> 'OutputLock':

@@ -27,6 +27,13 @@ def add_storage(parser: ArgumentParser) -> None:
         help='format of the bag (default: %(default)s)')
 
 
+def output_folder(word: str) -> Path:
+    """Return the folder of the option --output; an empty word is that of an unset variable."""
+    if not word:
+        raise UsageError('--output is empty: give a folder, or . for the current one')
+    return Path(word)
+
+
 def parameter_help(parameters: Mapping[str, Parameter]) -> str:
     """Return the help of ROS parameters, by name, as text for the help of a verb."""
     return 'parameters:\n' + '\n'.join(f'  {name}: {p}' for name, p in parameters.items())

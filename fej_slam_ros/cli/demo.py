@@ -20,6 +20,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from fej_slam_ros.atomic_files import refuse_existing, write_bytes, write_figure, write_json
+from fej_slam_ros.cli.arguments import output_folder
 from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.errors import UserError
@@ -71,7 +72,7 @@ SENSORS = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        '--output', type=Path, metavar='DIR',
+        '--output', type=output_folder, metavar='DIR',
         help='folder for tables and picture (default: demo_output, or demo_SENSOR_output)')
     parser.add_argument(
         '--sensor', choices=SENSORS, default='landmarks',

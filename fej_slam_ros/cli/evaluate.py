@@ -28,7 +28,7 @@ import numpy as np
 
 from fej_slam_ros.atomic_files import (
     refuse_existing, write_csv, write_figure, write_json, write_text)
-from fej_slam_ros.cli.arguments import number_option
+from fej_slam_ros.cli.arguments import number_option, output_folder
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.errors import UserError
@@ -75,7 +75,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '--delta', type=number_option('--delta', 1e-6), nargs='+', default=RPE_LENGTHS,
         metavar='LENGTH', help='lengths of the path segments of RPE [m] (default: 1 10)')
     parser.add_argument(
-        '--output', type=Path, metavar='DIR',
+        '--output', type=output_folder, metavar='DIR',
         help='folder for the results (default: DIR/evaluation, or BAG_evaluation)')
     parser.add_argument('--no-plots', dest='plots', action='store_false', help='draw no figures')
     parser.add_argument('--force', action='store_true', help='replace earlier results')

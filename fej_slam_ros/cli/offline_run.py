@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from fej_slam_ros.atomic_files import write_figure
-from fej_slam_ros.cli.arguments import add_bag_and_parameters
+from fej_slam_ros.cli.arguments import add_bag_and_parameters, output_folder
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
@@ -35,7 +35,8 @@ OVERVIEW_PERIOD = NS
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_bag_and_parameters(parser)
     parser.add_argument(
-        '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
+        '--output', type=output_folder, required=True, metavar='DIR',
+        help='folder for the results')
     parser.add_argument(
         '--bag', dest='write_bag', action='store_true',
         help='also write the output topics as a rosbag2, DIR/bag, in the namespace of --namespace')

@@ -29,7 +29,7 @@ from tqdm import tqdm
 from fej_slam_ros.atomic_files import (
     refuse_existing, write_csv, write_figure, write_json, write_text)
 from fej_slam_ros.cli import monte_carlo
-from fej_slam_ros.cli.arguments import integer_option
+from fej_slam_ros.cli.arguments import integer_option, output_folder
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments.andersson import experiment, report
 from fej_slam_ros.experiments.liu import (
@@ -96,7 +96,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--data', type=Path, metavar='DIR',
         help="folder with the authors' .mat files or the real data (default: our own worlds)")
     parser.add_argument(
-        '--output', type=Path, required=True, metavar='DIR', help='folder for the results')
+        '--output', type=output_folder, required=True, metavar='DIR',
+        help='folder for the results')
     parser.add_argument(
         '--only', nargs='+', metavar='ENVIRONMENT/LANDMARKS',
         choices=[str(configuration) for configuration in CONFIGURATIONS],

@@ -320,6 +320,25 @@ def test_the_input_bag_is_never_replaced(tmp_path):
     assert contents(bag) == before
 
 
+def test_a_bag_is_no_folder_for_results(places):
+    bag, params, _ = places
+    write_bag(bag, MEETING)
+    before = contents(bag)
+
+    assert run_verb('replay', bag, '--params', params, '--output', bag, '--force') == 2
+    assert contents(bag) == before
+
+
+def test_an_empty_output_is_not_the_current_folder(places, tmp_path, monkeypatch):
+    bag, params, _ = places
+    write_bag(bag, MEETING)
+    monkeypatch.chdir(tmp_path)
+    before = contents(tmp_path)
+
+    assert run_verb('replay', bag, '--params', params, '--output', '') == 2
+    assert contents(tmp_path) == before
+
+
 def test_an_interrupted_replay_leaves_no_results(replay, places, monkeypatch):
     def interrupted(_bag, _names):
         yield from MEETING[:-1]
