@@ -85,9 +85,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate the run, write the files and print the tables."""
     path: Path = arguments.run
-    if not path.is_dir():
+    if not path.exists():
         raise UserError(
-            f'{path} is not a folder: give the output of replay or smooth, or a rosbag2')
+            f'{path} does not exist: give the output of replay or smooth, or a rosbag2')
     if arguments.plots and find_spec('matplotlib') is None:
         raise UserError("matplotlib is missing: pip install '.[plot]', or give --no-plots")
     is_bag = run_results.is_bag(path)
@@ -128,9 +128,9 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
 def _sources(arguments: argparse.Namespace) -> Sources:
     """Return the ground truth and the names: those in the options, by default those of the run."""
     run, given_truth = arguments.run, arguments.truth
-    if given_truth is not None and not given_truth.is_dir():
+    if given_truth is not None and not given_truth.exists():
         raise UserError(
-            f'--truth: {given_truth} is not a folder: give a rosbag2, or a folder of TUM files')
+            f'--truth: {given_truth} does not exist: give a rosbag2, or a folder of TUM files')
     is_bag = run_results.is_bag(run)
     # The bag of replay --bag lies in the folder whose summary names the input bag.
     folder = run.resolve().parent if is_bag else run

@@ -48,8 +48,8 @@ NO_SUMMARY: dict[str, Any] = {'bag': '', 'remap': [], 'namespace': '', 'nis': {}
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a folder is a rosbag2."""
-    return (path / 'metadata.yaml').is_file()
+    """Return whether a path is a rosbag2: a folder, or a single file of one."""
+    return path.is_file() or (path / 'metadata.yaml').is_file()
 
 
 def has_truth(bag: Path, names: TopicNames) -> bool:

@@ -88,6 +88,17 @@ def pose(ms, x):
     return raw('r1/pose', outgoing.pose(estimate, 0.0), ms)
 
 
+def test_a_run_of_a_single_file_is_compared_with_the_truth_in_it(replayed, evaluate, tmp_path):
+    file = BAGS / 'two_circles' / 'two_circles.mcap'
+    params = BAGS / 'two_circles.yaml'
+    assert run_verb('replay', file, '--params', params, '--output', tmp_path / 'run') == 0
+
+    _, of_file, _ = evaluate(tmp_path / 'run', '--no-plots')
+    _, of_bag, _ = evaluate(replayed / 'two_circles', '--no-plots', '--force')
+
+    assert of_file['robots'] == of_bag['robots']
+
+
 def test_messages_of_other_nodes_and_invalid_ones_are_left_out(replayed, evaluate, tmp_path):
     messages = list(bags.read(replayed / 'two_circles' / 'bag'))
     _, expected, _ = evaluate(replayed / 'two_circles' / 'bag', '--no-plots')
