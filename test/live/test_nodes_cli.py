@@ -83,6 +83,21 @@ def test_a_node_rejects_unknown_ros_arguments(capfd, verb, words, part):
     assert part in sentence(capfd.readouterr().err)
 
 
+@pytest.mark.parametrize(('option', 'rule', 'form'), [
+    ('-r', '__ns:=fleet', '-r __ns:=/NAME'),
+    ('-r', '__ns:=/1st', '-r __ns:=/NAME'),
+    ('-r', 'r1/odom', '-r OLD:=NEW'),
+    ('-p', 'robots:=[r1', '-p NAME:=VALUE'),
+])
+def test_a_rule_that_ros_refuses_is_rejected_with_its_form(capfd, option, rule, form):
+    assert run_verb('estimator', '--ros-args', option, rule) == 2
+
+    # ROS warns of a namespace before.
+    error = capfd.readouterr().err.splitlines()[-1]
+    assert error.startswith(f"estimator: ROS does not accept '{option} {rule}': write ")
+    assert form in error
+
+
 @pytest.mark.parametrize(('text', 'cure'), [
     ('a: [', 'correct line 1, which is not YAML'),
     ('/**:\n\tros__parameters:\n', 'correct line 2, which is not YAML'),

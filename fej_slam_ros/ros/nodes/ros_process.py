@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from itertools import pairwise
 import os
 from pathlib import Path
+import re
 import select
 from time import monotonic, sleep
 from typing import Any
@@ -50,6 +51,12 @@ MAX_LAST_STEPS_TIME = 0.5
 MAX_FINAL_TIME = 0.8
 #: Period in which these waits check whether the end has become urgent.
 URGENCY_CHECK_PERIOD = Duration(seconds=0.05)
+
+#: Rules in the arguments of ROS, in whose errors it names the token that its parser misses.
+RULE = re.compile(r"Couldn't parse (remap|parameter override) rule: '(.*)'\. Error: ")
+RULE_FORMS = {
+    'remap': '-r OLD:=NEW, -r __node:=NAME or -r __ns:=/NAME',
+    'parameter override': '-p NAME:=VALUE with a value in YAML'}
 
 #: Maximum number of parameters in one request; 20 robots have 400.
 MAX_REQUEST = 500
@@ -129,7 +136,7 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
         # ROS names the line of a file, but neither the parameter nor a cure.
         for path in _parameter_files(ros_args):
             check_for_ros(path)
-        raise UsageError(f'ROS does not accept its arguments: {_first_line(error)}') from None
+        raise UsageError(f'ROS does not accept {_refused_argument(error)}') from None
     with Stop() as stopped, handled(stopped.set, stopped.set_urgent):
         try:
             yield stopped
@@ -301,6 +308,13 @@ def _check_parameter_files(ros_args: Sequence[str]) -> None:
 
 def _parameter_files(ros_args: Sequence[str]) -> list[Path]:
     return [Path(path) for option, path in pairwise(ros_args) if option == '--params-file']
+
+
+def _refused_argument(error: Exception) -> str:
+    """Return the argument that ROS refuses, and its form or the reason."""
+    text = _first_line(error)
+    rule = RULE.search(text)
+    return f'{rule[2]!r}: write {RULE_FORMS[rule[1]]}' if rule else f'its arguments: {text}'
 
 
 def _first_line(error: Exception) -> str:
