@@ -7,7 +7,7 @@ import json
 import pytest
 
 from helpers.optional import optional
-from helpers.ros import run_verb, write_parameters
+from helpers.ros import run_verb, write_bag, write_parameters
 
 live_helpers = optional('helpers.live')
 
@@ -130,6 +130,14 @@ def test_an_estimator_does_not_overwrite_results(tmp_path, capfd):
 def test_play_rejects_an_invalid_rate(tmp_path, capfd, rate):
     assert run_verb('play', tmp_path, f'--rate={rate}') == 2
     assert '--rate' in capfd.readouterr().err
+
+
+def test_play_names_a_bag_without_topics(tmp_path, capfd):
+    write_bag(tmp_path / 'bag', [])
+
+    assert run_verb('play', tmp_path / 'bag') == 1
+    assert sentence(capfd.readouterr().err) == (
+        f'play: {tmp_path / "bag"} has no topics: give another bag')
 
 
 def test_play_names_a_missing_bag(tmp_path, capfd):

@@ -9,7 +9,7 @@ from pathlib import Path
 from rclpy.node import Node
 from tqdm import tqdm
 
-from fej_slam_ros.errors import UsageError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.nodes.player import Player
@@ -21,6 +21,8 @@ def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> 
     if not 0.0 < rate < math.inf:
         raise UsageError(f'--rate {rate}: give a number above 0')
     topics = bags.topics(bag, names)
+    if not topics:
+        raise UserError(f'{bag} has no topics: give another bag')
     with ros([]) as stopped:
         node = Node('play')
         played = {
