@@ -17,6 +17,8 @@ pytestmark = pytest.mark.ros
 
 WORLD = {'environment': 'posts', 'steps_per_loop': 100, 'loops': 1, 'beams': 360, 'seed': 1}
 CLOUD = 'sensor_msgs/msg/PointCloud2'
+#: Level of a line of the log, as rcl_interfaces/msg/Log defines it.
+INFO = 20
 RELIABLE = {
     f'qos_overrides./{robot}/{kind}.subscription.{policy}': value
     for robot in ('r1', 'r2') for kind in ('odom', 'scan')
@@ -58,6 +60,15 @@ def test_reports_name_the_namespace_and_a_missing_clock():
     status, = reports[0].status
     assert status.name == 'fleet/detector: r1'
     assert status.message == 'waiting for /clock: use_sim_time is set'
+
+
+def test_simulated_time_that_begins_late_is_logged_without_a_warning():
+    with live_helpers.Domain() as domain:
+        domain.start('detector', '--ros-args', '-p', 'robots:=[r1]', '-p', 'use_sim_time:=true')
+        lines = domain.listen('/rosout', 'rcl_interfaces/msg/Log')
+        domain.until(lambda: [line for line in lines if 'waiting for /clock' in line.msg])
+
+    assert {line.level for line in lines if 'waiting for /clock' in line.msg} == {INFO}
 
 
 def test_an_incompatible_publisher_is_named_with_the_parameter_that_resolves_it():

@@ -14,6 +14,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
+from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.clock_watch import NO_CLOCK
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
 from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
@@ -25,6 +26,7 @@ from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES, Value
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
 from fej_slam_ros.ros.session.inputs import TF_TYPE
+from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import Publication
 
 #: Period of the diagnostics [s].
@@ -150,7 +152,9 @@ class FrontEndNode(ParameterNode):
             reports = reports + 1 if warning == before else 1
             self._warnings[robot] = warning, reports
             if warning and reports == PATIENCE:
-                self.get_logger().warning(f'{robot}: {warning}')
+                # Others may take long to start.
+                severity = LogSeverity.INFO if missing else LogSeverity.WARN
+                log_writer.write(self.get_logger(), [LogLine(severity, f'{robot}: {warning}')])
 
     def _problem_of(self, robot: str, incompatible: Iterable[IncompatibleQos]) -> str:
         """Return an incompatible quality of service of a robot's topics, '' if there is none."""
