@@ -17,6 +17,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
     checked_values, CommonNodeSettings, known_values, load_parsed, robot_names, STRICT_PARAMETERS,
     Value, Warn, warn_once)
+from fej_slam_ros.ros.parameters.parsing import warn_of_degrees
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
@@ -137,8 +138,9 @@ class Simulation:
 
 def parse(values: Mapping[str, object], warn: Warn = warn_once) -> Simulation:
     """Return the simulation for flat ROS parameters; a wrong one raises UsageError."""
-    known = known_values(values, PARAMETERS, warn)
-    given = checked_values(known, PARAMETERS) | {'first_stamp': FIRST_STAMP}
+    checked = checked_values(known_values(values, PARAMETERS, warn), PARAMETERS)
+    warn_of_degrees(checked, PARAMETERS, warn)
+    given = checked | {'first_stamp': FIRST_STAMP}
     name = given.pop('environment', 'circles')
     environment = ALL_ENVIRONMENTS[name]
     robot_names(given.get('robots', environment.world.robots))

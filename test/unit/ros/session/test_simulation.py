@@ -31,6 +31,15 @@ def test_the_default_is_the_first_environment():
         'circles', ('r1', 'r2'), 60, 5)
 
 
+def test_a_start_in_degrees_is_a_warning():
+    warnings = []
+
+    simulation.parse({'start': [90.0, 90.0, -90.0]}, warnings.append)
+
+    sentence, = warnings
+    assert sentence.startswith("parameter 'start' has an angle of -90 rad, more than a turn")
+
+
 @pytest.mark.parametrize('environment', ['circles', 'figure_eight'])
 def test_the_same_parameters_give_the_same_bytes_at_every_call(environment):
     simulated = simulation.parse({**SMALL, 'environment': environment})
