@@ -47,8 +47,9 @@ class FrameNames:
         self._map_frame = settings.map_frame
         self._share_tf = settings.shares_tf()
         self._tf_topics = settings.tf_topics
-        # Frames in the odometry of each robot: the first frame, and all child frames.
+        # Frames in the odometry of each robot: the first and the newest one, and all child frames.
         self._odometry: dict[str, str] = {}
+        self._newest: dict[str, str] = {}
         self._children: defaultdict[str, set[str]] = defaultdict(set)
 
     @property
@@ -63,14 +64,15 @@ class FrameNames:
 
     def add(self, robot: str, odometry: Message) -> None:
         """Record the frames of an odometry message."""
-        self._odometry.setdefault(robot, odometry.header.frame_id.lstrip('/'))
+        self._newest[robot] = odometry.header.frame_id.lstrip('/')
+        self._odometry.setdefault(robot, self._newest[robot])
         if len(self._children[robot]) < MAX_CHILD_FRAMES:
             self._children[robot].add(odometry.child_frame_id.lstrip('/'))
 
     def remove_robot(self, robot: str) -> None:
         """Forget the frames of a robot that was removed."""
-        self._odometry.pop(robot, None)
-        self._children.pop(robot, None)
+        for of_robots in (self._odometry, self._newest, self._children):
+            of_robots.pop(robot, None)
 
     def published(self, frame: str) -> str:
         """Return the name of a frame of estimates in messages."""
@@ -93,6 +95,19 @@ class FrameNames:
         given, name = self._given(robot, 'base_frame'), self._base_name(robot)
         others = (self._base_name(other) for other in self._others(robot))
         return given or (name if name and name not in others else f'{robot}/base_link')
+
+    def changes(self, robot: str) -> Iterator[str]:
+        """Yield one sentence for each frame of the odometry of a robot that has changed."""
+        first, base = self.odometry(robot), self.base(robot)
+        newest, children = self._newest.get(robot, first), self._children.get(robot, set())
+        if newest != first == self._odometry.get(robot):
+            yield (
+                f'the frame of its odometry has changed from {first!r} to {newest!r}, to which no'
+                ' transform from map leads: correct the driver, or start this node again')
+        if len(children) > 1 and not self._given(robot, 'base_frame'):
+            yield (
+                f'the child frame of its odometry changes ({", ".join(sorted(children))}), so that'
+                f' its base frame is {base!r}: correct the driver, or set {robot}.base_frame')
 
     def knows_base(self, robot: str) -> bool:
         """Return whether odometry has named the base frame of a robot."""

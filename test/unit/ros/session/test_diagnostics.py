@@ -143,6 +143,16 @@ def test_the_limit_for_clock_differences_is_a_parameter():
     assert report_of(*delayed('r2', 0.0), clock_limit=0.0)['r2'][:2] == (OK, 'in map')
 
 
+def test_a_frame_that_has_changed_is_a_warning():
+    renamed = odometry_message(500)
+    renamed.header.frame_id = 'wheels'
+
+    level, message, _ = report_of(*MEETING, raw('r1/odom', renamed, 500))['r1']
+
+    assert level == WARN
+    assert "the frame of its odometry has changed from 'r1/odom' to 'wheels'" in message
+
+
 def test_the_clock_offset_to_the_other_robots_is_reported():
     report = report_of(*delayed('r2', -0.25))
 

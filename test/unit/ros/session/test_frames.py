@@ -80,6 +80,31 @@ def test_the_frame_of_odometry_stays_the_first_one():
     assert names.odometry('r1') == 'r1/odom'
 
 
+@pytest.mark.parametrize(('frame', 'child', 'parts'), [
+    ('r1/odom', 'r1/base_link', []),
+    ('odom', 'r1/base_link', ["has changed from 'r1/odom' to 'odom'"]),
+    ('r1/odom', 'base_link', ['changes (base_link, r1/base_link)']),
+])
+def test_a_frame_that_a_driver_has_renamed_is_reported(frame, child, parts):
+    names = named({'r1': ('/r1/odom', 'r1/base_link')})
+
+    names.add('r1', replace(odometry_message(child=child), header=header(100, frame)))
+
+    sentences = list(names.changes('r1'))
+    assert len(sentences) == len(parts)
+    assert all(part in sentence for part, sentence in zip(parts, sentences))
+
+
+def test_frames_of_parameters_do_not_change_with_the_odometry():
+    names = FrameNames(
+        Estimator(parse({**NAV2, 'robots': ['r1', 'r2']}).estimation), NodeSettings())
+
+    for frame in ('wheels', 'visual'):
+        names.add('r1', replace(odometry_message(child=frame), header=header(0, frame)))
+
+    assert list(names.changes('r1')) == []
+
+
 @pytest.mark.parametrize(
     ('children', 'expected'),
     [
