@@ -207,6 +207,10 @@ class Sequencer:
         """Return the number of waiting records of a robot."""
         return self._queues[robot].waiting() if robot in self._queues else 0
 
+    def has_odometry(self, robot: str) -> bool:
+        """Return whether odometry of a robot was accepted."""
+        return self._queues[robot].odometry.newest is not None
+
     def _insert(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:
         queue = self._queues.get(record.robot)
         if queue is None:

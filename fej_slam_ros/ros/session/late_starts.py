@@ -92,7 +92,9 @@ class LateStarts:
         self._estimator = estimator
         self._messages = messages
         self._add_line = add_line
-        self._checked = {name for group in estimator.groups for name in group.robots}
+        # A restored run has the first odometry of some robots, perhaps still waiting for others.
+        self._checked = {
+            name for name in estimator.robots if estimator.sequencer.has_odometry(name)}
         self._held: defaultdict[str, list[ArrivedOdometry]] = defaultdict(list)
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:

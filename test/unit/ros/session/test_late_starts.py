@@ -104,6 +104,22 @@ def test_a_robot_that_has_moved_starts_as_far_from_its_start_pose():
     assert '20 messages missed' in line
 
 
+def test_a_robot_whose_first_odometry_a_checkpoint_has_starts_at_its_start_pose():
+    run = LiveRun(
+        'r1', 'r2', messages=Messages(r1=0, r2=0),
+        known=[('r2', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+    run.odom('r2', 0, (0.0, 0.0, 0.0))
+
+    # Restored before r1 has sent anything, so that no step was processed.
+    run.check = LateStarts(run.estimator, Messages(r1=0, r2=6), run.log.add)
+    for ms, x in ((100, 0.1), (200, 0.2)):
+        run.odom('r2', ms, (x, 0.0, 0.0))
+    run.odom('r1', 0, (0.0, 0.0, 0.0))
+
+    np.testing.assert_allclose(run.pose('r2').pose, [5.2, 0.0, 0.0], atol=1e-12)
+    assert run.log.infos == run.log.warnings == []
+
+
 def test_a_start_pose_is_not_used_if_the_motion_since_is_unknown():
     run = LiveRun(
         'r1', 'r2', messages=Messages(r1=0, r2=2),
