@@ -16,7 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
     parser.add_argument(
         '--rate', type=float, default=1.0, metavar='R', help='playback speed (default: 1.0)')
-    parser.add_argument('--clock', action='store_true', help="publish the bag's time on /clock")
+    parser.add_argument(
+        '--clock', action='store_true',
+        help="publish the bag's time on /clock, unless the bag has that topic")
     parser.add_argument('--no-wait', action='store_true', help='do not wait for subscribers')
     add_topic_names(parser)
 

@@ -15,6 +15,9 @@ from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import debian_package, is_installed, ros
 
+#: Topic of simulated time, which two publishers would set back and forth.
+CLOCK_TOPIC = 'clock'
+
 
 def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> int:
     """Play a bag under other names until its end or an interrupt; return 0."""
@@ -30,6 +33,10 @@ def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> 
         if played.keys() < topics.keys():
             node.get_logger().warning(
                 _left_out({name: topics[name] for name in topics if name not in played}))
+        if clock and CLOCK_TOPIC in played:
+            node.get_logger().info(
+                '/clock is in the bag: it is played, and --clock has no effect')
+            clock = False
         latched = [name for name, topic in played.items() if topic.latched]
         player = Player(
             node, {name: topic.type_name for name, topic in played.items()}, latched, rate, clock)

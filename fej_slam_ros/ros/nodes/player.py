@@ -7,10 +7,13 @@ from time import monotonic
 
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.nodes.ros_process import (
     check_topic_names, message_class, reliable, Stop, wait_for_arrival)
+from fej_slam_ros.ros.nodes.topics import STATIC_DEPTH
+from fej_slam_ros.ros.session.frames import STATIC_TF
 
 #: Queue length of the publishers, messages: a subscriber may stall for seconds without loss.
 PLAYED_DEPTH = 1000
@@ -33,7 +36,8 @@ class Player:
     ----------
     node : that owns the publishers
     types : of all topics, by name
-    latched : topics whose last message is kept for late subscribers
+    latched : topics whose last message is kept for late subscribers; of static transforms all
+        are, since each is of another node
     rate : seconds of message time per second of real time
     clock : whether to publish the message time on ``/clock``
     no_wait : what the user gives to begin without subscribers
@@ -52,8 +56,7 @@ class Player:
         check_topic_names(node, types)
         self._publishers = {
             name: node.create_publisher(
-                message_class(type_name), name,
-                reliable(1, latched=True) if name in latched else reliable(PLAYED_DEPTH))
+                message_class(type_name), name, _qos(name, name in latched))
             for name, type_name in types.items()}
         self._clock = (
             node.create_publisher(message_class('rosgraph_msgs/msg/Clock'), '/clock', reliable(10))
@@ -126,3 +129,9 @@ class Player:
     def _tick(self, now: int) -> None:
         if self._clock is not None:
             self._clock.publish(serialize(outgoing.clock(now)))
+
+
+def _qos(topic: str, latched: bool) -> QoSProfile:
+    if topic.rpartition('/')[2] == STATIC_TF:
+        return reliable(STATIC_DEPTH, latched=True)
+    return reliable(1, latched=True) if latched else reliable(PLAYED_DEPTH)

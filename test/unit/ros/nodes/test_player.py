@@ -8,11 +8,13 @@ import signal
 from time import monotonic
 
 import pytest
+from rosbags.typesys.stores import ros2_jazzy as ros
 
 from fej_slam_ros.ros.files import bags
 from helpers.optional import optional
 from helpers.ros import (
-    meeting, meeting_truth, ODOMETRY, odometry_message, raw, run_verb, write_parameters)
+    meeting, meeting_truth, ODOMETRY, odometry_message, raw, run_verb, write_bag,
+    write_parameters)
 
 process = optional('fej_slam_ros.ros.nodes.ros_process')
 live_helpers = optional('helpers.live')
@@ -63,6 +65,36 @@ def test_topics_of_packages_that_are_not_installed_are_left_out(domain, bag, tmp
     assert status == 0
     assert re.search(
         r'left out: tf \(\d+ messages\); to play them, apt install ros-jazzy-tf2-msgs', errors)
+
+
+def test_a_late_subscriber_gets_the_static_transforms_of_all_nodes(domain, node):
+    # Any type will do: tf2_msgs is not on PyPI.
+    sent = [raw('tf_static', odometry_message(ms), received_ms=0) for ms in (1, 2, 3)]
+    playing = player.Player(node, {'tf_static': ODOMETRY}, ['tf_static'])
+    with process.Stop() as stopped:
+        playing.play(sent, stopped)
+
+    heard = []
+    domain.node.create_subscription(
+        live_helpers.message_class(ODOMETRY), '/tf_static', heard.append,
+        process.reliable(100, latched=True), raw=True)
+    domain.until(lambda: len(heard) == 3)
+
+    assert heard == [live_helpers.on_the_wire(message.raw) for message in sent]
+
+
+def test_a_recorded_clock_is_the_only_one(domain, tmp_path):
+    times = [ros.rosgraph_msgs__msg__Clock(
+        clock=ros.builtin_interfaces__msg__Time(sec=sec, nanosec=0)) for sec in range(10, 60)]
+    write_bag(tmp_path / 'bag', [
+        raw('clock', time, received_ms=100 * k) for k, time in enumerate(times)])
+    ticks = domain.listen('/clock', CLOCK)
+
+    status, errors = domain.finish(domain.start('play', tmp_path / 'bag', '--clock'))
+
+    assert status == 0
+    assert '--clock has no effect' in errors
+    assert [tick.clock.sec for tick in ticks] == [*range(10, 60)]
 
 
 def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):
