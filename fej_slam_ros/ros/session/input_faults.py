@@ -190,7 +190,7 @@ def _all_rejected(given: RobotInput) -> Iterator[Fault]:
 def _too_large(given: RobotInput) -> Iterator[Fault]:
     for kind in OBSERVATION_TOPICS:
         largest = given.flow(kind).largest
-        if largest is not None and given.now - (largest.received or 0) <= RATE_WINDOW:
+        if largest is not None and abs(given.now - (largest.received or 0)) <= RATE_WINDOW:
             yield Fault(Level.ERROR, (
                 f'{given.robot} publishes {largest.points:,} points a scan'
                 f' ({largest.size:,} bytes) on {given.topic(kind)}, rejected as'

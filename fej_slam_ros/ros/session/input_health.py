@@ -78,6 +78,7 @@ class TopicFlow:
             if self.last is not None and received >= self.last:
                 self._gaps.append(received - self.last)
             self.last = received
+            self.rejected_since = min(self.rejected_since, received)
         if reason is None:
             self.rejected_in_a_row.clear()
             return
@@ -165,6 +166,12 @@ class RobotHealth:
         self, now: int, seen: int, used: int, reasons: Counter[RejectionReason]
     ) -> None:
         """Add the total numbers of received and used observations and rejections at a time."""
+        if self._sampled_at is not None and now < self._sampled_at:
+            # The clock went back, so that the age of what came before is unknown.
+            self._gate.clear()
+            self._recent.clear()
+            if self.unused_since is not None:
+                self.unused_since = min(self.unused_since, now)
         gated = reasons[RejectionReason.GATED]
         new = GateCounts(now, max(used - self._used, 0), gated - self._gated)
         if new.used > 0:

@@ -254,3 +254,33 @@ def test_input_beyond_a_limit_is_an_error_for_some_seconds(reason, sentence):
         level == ERROR and message.startswith(sentence) for level, message in case.at(10 * S))
     case.health.sample(16 * S * MS)
     assert not any(sentence in message for _, message in case.at(16 * S))
+
+
+def test_faults_end_when_the_clock_is_set_back():
+    case = flowing(20 * S)
+    case.health.sample(99 * S * MS)
+    case.estimator.statistics.reject(Rejection('r2', 7, RejectionReason.MAP_FULL, id=3))
+    case.health.flow('r2', 'landmarks').largest = LargeScan(20_000, 640_112, 100 * S * MS)
+    case.health.sample(100 * S * MS)
+    assert len([level for level, _ in case.at(100 * S) if level == ERROR]) == 2
+
+    case.messages('odom', range(0, 10 * S, 100))
+    case.health.sample(10 * S * MS)
+
+    assert case.at(10 * S) == []
+
+
+def test_faults_that_go_on_are_reported_after_the_clock_was_set_back():
+    case = flowing(0).messages('landmarks', range(100 * S, 101 * S, 100), 'wrong_frame', 1)
+    case.health.sample(100 * S * MS)
+
+    case.messages('landmarks', range(0, 10 * S, 100), 'wrong_frame', 1)
+    for second in range(1, 10):
+        case.messages('odom', [second * S])
+        case.health.sample(second * S * MS)
+
+    sentences = [message for _, message in case.at(10 * S)]
+    assert any(
+        'messages on /fleet/r2/landmarks were all rejected' in sentence
+        for sentence in sentences)
+    assert any('observations used for 9.0 s' in sentence for sentence in sentences)
