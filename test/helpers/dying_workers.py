@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Tasks that kill their process; worker processes import them by name."""
+"""Tasks that kill their process, or fail in it; worker processes import them by name."""
 
 from multiprocessing.connection import Connection
 import os
@@ -14,6 +14,20 @@ def die_once(task):
         file.touch()
         os.kill(os.getpid(), signal.SIGKILL)
     return number
+
+
+def fail_twice(folder):
+    """Return a number; the first two calls with a folder raise an exception."""
+    attempts = len([*folder.iterdir()])
+    (folder / str(attempts)).touch()
+    if attempts < 2:
+        raise ValueError('no luck')
+    return attempts
+
+
+def end_of_file(_):
+    """Raise the exception that the pipe of a worker raises when its parent has ended."""
+    raise EOFError('too short')
 
 
 def die_while_answering():

@@ -195,6 +195,50 @@ def test_no_observation_is_lost_with_a_solver_process(domain, tmp_path):
         assert_allclose(live, smoothed, rtol=0.0, atol=1e-9)
 
 
+#: Lets solutions fail in all processes while a file exists.
+BROKEN_SOLVER = """
+from pathlib import Path
+from fej_slam_ros.core.csam.maps import JointMap
+unsolved = JointMap.unsolved
+def fail_or_begin(local):
+    if Path({!r}).exists():
+        raise ZeroDivisionError('by zero')
+    return unsolved(local)
+JointMap.unsolved = staticmethod(fail_or_begin)
+"""
+
+
+@pytest.mark.parametrize('is_mended', [False, True])
+def test_a_solution_that_raises_exceptions_is_given_up_and_no_pose_is_lost(
+    domain, tmp_path, monkeypatch, is_mended
+):
+    broken = tmp_path / 'broken'
+    (tmp_path / 'sitecustomize.py').write_text(BROKEN_SOLVER.format(str(broken)))
+    monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+    smoother, reports, _ = smoothed_and_started(domain, tmp_path)
+    broken.touch()
+    domain.until(lambda: reports)
+    assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 4)) == (0, '')
+    sentence = 'not smoothed: its computation fails with ZeroDivisionError: by zero'
+    domain.until(lambda: sum(sentence in s.message for s in reports[-1].status) == 2)
+    if is_mended:
+        broken.unlink()
+    status, errors = domain.finish(smoother, signal.SIGINT)
+
+    assert status == 0
+    assert [errors.count(f'{name} is {sentence}') for name in 'pq'] == [1, 1]
+    assert [errors.count(f'{name} is smoothed again') for name in 'pq'] == [is_mended] * 2
+    assert ('no final solution' in errors) != is_mended
+    alignment = json.loads((tmp_path / 'live' / 'alignment.json').read_text())
+    assert alignment['unsolved'].keys() == ({*()} if is_mended else {*'pq'})
+    for name in 'trajectory_p.csv', 'trajectory_q.csv':
+        live, smoothed = (first_columns(tmp_path / f, name, 10) for f in ('live', 'smoothed'))
+        # The poses of the filter are not those of all measurements.
+        assert_allclose(live[:, 0], smoothed[:, 0])
+        if is_mended:
+            assert_allclose(live, smoothed, rtol=0.0, atol=1e-9)
+
+
 def test_the_node_does_not_wait_for_the_solver_in_a_map_of_2000_poses(domain, tmp_path):
     world = {'loops': 16, 'steps_per_loop': 63, 'landmarks': 60}
     bags.write(tmp_path / 'bag', simulation.parse(world).records())

@@ -22,7 +22,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.event_loop import spin
 from fej_slam_ros.ros.nodes.session_node import SessionNode
-from fej_slam_ros.ros.nodes.worker_process import Worker
+from fej_slam_ros.ros.nodes.worker_process import FailedTask, Worker
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_session import PeerSession
@@ -123,9 +123,12 @@ class SmootherNode(SessionNode):
         solution = self._worker.result()
         self._report_deaths()
         if solution is not None and self._solving_since is not None:
-            self._session.diagnostics.solve_time = perf_counter() - self._solving_since
-            self._solving_since = None
-            self._topics.publish(self._session.adopt(solution))
+            duration, self._solving_since = perf_counter() - self._solving_since, None
+            if isinstance(solution, FailedTask):
+                self._session.give_up(solution.argument, solution.error)
+            else:
+                self._session.diagnostics.solve_time = duration
+                self._topics.publish(self._session.adopt(solution))
             return True
         if not self._worker.is_ready or not self._is_solution_due():
             return False
@@ -135,8 +138,8 @@ class SmootherNode(SessionNode):
 
     def _solve_finally(self, function: Callable[[Any], Any], task: Any) -> Any:
         """Return the final solution; None if the process is to end at once or none is found."""
-        if self._solving_since is not None:
-            # The worker solves for fewer poses.
+        if self._solving_since is not None or self._worker.fault:
+            # The worker solves for fewer poses, or waits before it starts again.
             self._end_worker()
             self._start_worker()
         self._worker.begin(function, task)
@@ -144,6 +147,9 @@ class SmootherNode(SessionNode):
         while self._worker.deaths < last_death and not self.is_urgent():
             final = self._worker.result()
             self._report_deaths()
+            if isinstance(final, FailedTask):
+                self._session.give_up(task, final.error)
+                break
             if final is not None:
                 return final
             if not is_noted and perf_counter() - begin > FINAL_NOTE_AFTER:

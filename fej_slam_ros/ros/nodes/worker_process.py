@@ -3,11 +3,12 @@
 """
 A worker process for long computations, which never blocks its parent.
 
-It ends with the parent, and is replaced if it dies or hangs.
+It ends with the parent, and is replaced if it dies, hangs or raises an exception.
 """
 
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 import multiprocessing
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -15,6 +16,7 @@ from multiprocessing.reduction import ForkingPickler
 import signal
 from threading import Thread
 from time import monotonic
+import traceback
 from typing import Any
 
 from fej_slam_ros.child_process import described_exit, end_with_parent, processor_time
@@ -27,6 +29,21 @@ MAX_RESTART_DELAY = 60.0
 EXIT_TIMEOUT = 1.0
 #: Time [s] without processor time after which a process that has a task counts as hung.
 HUNG_AFTER = 30.0
+#: Number of processes in which a task may raise an exception before it is given up.
+MAX_FAILURES = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FailedTask:
+    """What takes the place of the result of a task that is given up."""
+
+    reason: str  #: the exception that it raises
+    argument: Any = None  #: of the function
+
+    @property
+    def error(self) -> str:
+        """Return the reason as a sentence for users."""
+        return f'its computation fails with {self.reason}'
 
 
 class Exchange(Thread):
@@ -63,11 +80,12 @@ class Worker:
     Calls functions in another process, one at a time.
 
     A thread would hold the interpreter lock, for which callbacks wait. If the process dies, or
-    gets no processor time as one that was stopped, another one repeats the task.
+    gets no processor time as one that was stopped, another one repeats the task. A task that
+    raises an exception in several processes is given up.
 
     Attributes
     ----------
-    deaths : number of processes that have died or were killed because they hung
+    deaths : number of processes that have died, or were killed because they hung or failed
     fault : how the last one died and what follows, '' after the next result
 
     """
@@ -77,7 +95,7 @@ class Worker:
 
     def __init__(self) -> None:
         self._tasks: list[tuple[Callable[[Any], Any], Any]] = []
-        self._unsuccessful = self.deaths = 0
+        self._unsuccessful = self._failures = self.deaths = 0
         self._restart_time = 0.0
         self.fault = ''
         self._start()
@@ -89,12 +107,17 @@ class Worker:
 
     def begin(self, function: Callable[[Any], Any], argument: Any) -> None:
         """Begin to call a function; no other task may be in progress."""
-        self._tasks = [(function, argument)]
+        self._tasks, self._failures = [(function, argument)], 0
         if self._is_listening:
             self._send_task()
 
     def result(self) -> Any:
-        """Return the result of the task, None before that; replace the process if it has died."""
+        """
+        Return the result of the task, None before that; replace the process if it has died.
+
+        The result of a task that is given up is a `FailedTask`.
+
+        """
         if self._pipe.closed:
             if monotonic() >= self._restart_time:
                 self._start()
@@ -110,6 +133,8 @@ class Worker:
         if self.is_ready:
             return None
         result = ForkingPickler.loads(self._exchange.answer)
+        if isinstance(result, FailedTask):
+            return self._repeat_or_give_up(result.reason)
         if self._is_listening:
             self._tasks.clear()
             self._unsuccessful, self.fault = 0, ''
@@ -161,8 +186,20 @@ class Worker:
             self._processor_time, self._seen_working = used, now
         return now - self._seen_working > HUNG_AFTER
 
-    def _replace(self, death: str) -> None:
-        """Let another process repeat the task; `death` tells how this one ended."""
+    def _repeat_or_give_up(self, reason: str) -> FailedTask | None:
+        """Let another process repeat a task that raises an exception; return it if given up."""
+        death = f'the worker process failed with {reason}'
+        self._failures += 1
+        if self._failures < MAX_FAILURES:
+            self._replace(death)
+            return None
+        (_, argument), = self._tasks
+        self._tasks.clear()
+        self._replace(death, 'the task is given up, another process starts')
+        return FailedTask(reason, argument)
+
+    def _replace(self, death: str, what_follows: str = 'another one repeats the task') -> None:
+        """Start another process; `death` tells how this one ended."""
         self.close()
         self.deaths += 1
         self._unsuccessful += 1
@@ -173,7 +210,7 @@ class Worker:
         self._restart_time = monotonic() + delay
         self.fault = (
             death + (f', {self._unsuccessful} times in a row' if self._unsuccessful > 1 else '')
-            + f': another one repeats the task{f" in {delay:g} s" if delay else ""}')
+            + f': {what_follows}{f" in {delay:g} s" if delay else ""}')
 
 
 def _work(pipe: Connection) -> None:
@@ -182,5 +219,15 @@ def _work(pipe: Connection) -> None:
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):
         pipe.send(None)
         while True:
-            function, argument = pipe.recv()
-            pipe.send(function(argument))
+            pipe.send_bytes(_answer(pipe.recv_bytes()))
+
+
+def _answer(task: bytes) -> bytes | memoryview:
+    """Return the result of a task, or the exception that it raises; both are pickled."""
+    try:
+        function, argument = ForkingPickler.loads(task)
+        return ForkingPickler.dumps(function(argument))
+    # Also those of an error in the program: the parent goes on without the result.
+    except Exception as error:  # noqa: BLE001
+        traceback.print_exc()
+        return ForkingPickler.dumps(FailedTask(f'{type(error).__name__}: {error}'))

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from types import MappingProxyType
 from typing import Generic
 
 import numpy as np
@@ -336,6 +337,8 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
     solve_time = 0.0  #: duration of the last solution [s]
     solver_restarts = 0  #: number of worker processes that have died, set by the caller
     solver_fault = ''  #: how the last one died, '' after the next solution, set by the caller
+    #: why the last solution of robots failed, by name, set by the caller
+    failed: Mapping[str, str] = MappingProxyType({})
 
     def _needs_observations(self, robot: str) -> bool:
         return robot in self._consumer.not_in_map()
@@ -343,7 +346,9 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
     def _state_of(self, robot: str) -> tuple[int, str]:
         team = self._consumer
         trajectory = team.trajectories.get(robot)
-        error = (trajectory and trajectory.error) or team.solution.unsolved.get(robot)
+        error = (
+            (trajectory and trajectory.error) or team.solution.unsolved.get(robot)
+            or self.failed.get(robot))
         if error:
             return DiagnosticStatus.ERROR, f'not smoothed: {error}'
         not_joined = team.not_in_map().get(robot)

@@ -106,6 +106,7 @@ class PeerLog(SmootherLog):
         self._exchange = exchange
         self._in_reach: set[str] = set()
         self._aligned: set[str] = set()
+        self._failed: set[str] = set()
         self._rejected: set[tuple[str, MessageRejection]] = set()
 
     def check(self, now: int) -> None:
@@ -133,6 +134,12 @@ class PeerLog(SmootherLog):
             self._aligned.add(peer)
             self.add(LogSeverity.INFO, (
                 f'{peer}: the pose of its map is known by the rendezvous, before any of the map'))
+
+    def add_failed_rendezvous(self, peer: str, error: str) -> None:
+        """Add a line when the rendezvous with another robot cannot be computed at first."""
+        if peer not in self._failed:
+            self._failed.add(peer)
+            self.add(LogSeverity.WARN, f'{peer} is not aligned by the rendezvous: {error}')
 
     def _missing_odometry(self, faults: Mapping[str, str]) -> Iterator[Missing]:
         return (

@@ -33,7 +33,7 @@ from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_reports import PeerDiagnostics, PeerLog
 from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs, TEAM_TYPES
-from fej_slam_ros.ros.session.smoother_session import SmootherSession, Solving
+from fej_slam_ros.ros.session.smoother_session import FAILURE_PAUSE, SmootherSession, Solving
 
 EXCHANGE_TOPIC = '/exchange'
 EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
@@ -129,8 +129,9 @@ class PeerSession(SmootherSession):
         self.diagnostics = PeerDiagnostics(
             self.team, self.inputs, node.clock_limit, self._exchange)
         self.log = PeerLog(self.team, self.inputs, self._exchange)
-        # What was known of the rendezvous with each robot, and when its computation ended; a
-        # computation of one is followed by a solution, if there is anything new to solve.
+        # What was known of the rendezvous with each robot, and when its computation ended, or when
+        # the pause after one that failed ends; a computation of one is followed by a solution, if
+        # there is anything new to solve.
         self._last_rendezvous: dict[str, tuple[int, tuple[int, int, int]]] = {}
         self._is_after_rendezvous = False
         self._store()
@@ -188,8 +189,7 @@ class PeerSession(SmootherSession):
         """Adopt a rendezvous or a solution, and yield its publications."""
         if isinstance(solution, TeamSmoother):
             self.team.adopt_union(solution)
-            self.log.add_solution()
-            yield from self.outputs.of_solution()
+            yield from self._adopted()
             return
         peer, result = solution
         _, known = self._last_rendezvous[peer]
@@ -202,7 +202,18 @@ class PeerSession(SmootherSession):
     def adopt_finally(self, final: Any) -> Iterator[Publication]:
         """Adopt the solution at the end of the input and yield its publications."""
         self.team.adopt_finally(final)
-        yield from self.outputs.of_solution()
+        yield from self._adopted()
+
+    def give_up(self, task: Any, error: str) -> None:
+        """Report the error for which there is no rendezvous or no new solution."""
+        if not isinstance(task, RendezvousTask):
+            self._report_unsolved(task.logs, error)
+            return
+        _, known = self._last_rendezvous[task.peer]
+        self._last_rendezvous[task.peer] = monotonic_ns() + FAILURE_PAUSE, known
+        self.team.rendezvous_results[task.peer] = RendezvousResult(
+            b'', JoinFailure(error), 0, None)
+        self.log.add_failed_rendezvous(task.peer, error)
 
     def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
         """Reject it: the file of the exchange has all measurements at any time."""
@@ -258,6 +269,9 @@ class PeerSession(SmootherSession):
             if self.team.solution.has_joined([self.team.robot, peer]):
                 continue
             at, before = self._last_rendezvous.get(peer, (-RENDEZVOUS_PERIOD, (0, 0, 0)))
+            if now < at:
+                # Its last computation has failed.
+                continue
             known = self._known_of(peer)
             # A run of the other's information comes once; its blocks and own observations go on.
             if known[1] != before[1] or (known != before and now - at >= RENDEZVOUS_PERIOD):

@@ -362,18 +362,18 @@ class SmootherLog(RunLog[TeamSmoother]):
             self.add(LogSeverity.INFO, f'{robot} is found by the landmarks of its map')
         self._lost = lost
 
-    def add_solution(self) -> None:
-        """Add the lines of an adopted solution."""
-        team = self._consumer
-        for robot, trajectory in team.trajectories.items():
+    def add_solution(self, failed: Mapping[str, str]) -> None:
+        """Add the lines of an adopted solution, or of the robots whose solution failed."""
+        unsolved = {**self._consumer.solution.unsolved, **failed}
+        for robot, trajectory in self._consumer.trajectories.items():
             if trajectory.frame == MAP and robot not in self._joined:
                 self._joined.add(robot)
                 self.add(LogSeverity.INFO, f'{robot} joined {MAP}, by {self._cause(robot)}')
-        for robot in team.solution.unsolved.keys() - self._unsolved:
-            self.add(LogSeverity.WARN, f'{robot} is not smoothed: {team.solution.unsolved[robot]}')
-        for robot in self._unsolved - team.solution.unsolved.keys():
+        for robot in unsolved.keys() - self._unsolved:
+            self.add(LogSeverity.WARN, f'{robot} is not smoothed: {unsolved[robot]}')
+        for robot in self._unsolved - unsolved.keys():
             self.add(LogSeverity.INFO, f'{robot} is smoothed again')
-        self._unsolved = {*team.solution.unsolved}
+        self._unsolved = {*unsolved}
 
     def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:
         for robot, reason in self._consumer.not_in_map().items():

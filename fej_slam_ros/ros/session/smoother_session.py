@@ -7,6 +7,7 @@ from dataclasses import replace
 from heapq import merge
 from itertools import chain
 from pathlib import Path
+from time import monotonic_ns
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.records import PosePrior, UNKNOWN_POSE_COVARIANCE
+from fej_slam_ros.core.records import NS, PosePrior, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.settings import CommonSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
@@ -37,6 +38,9 @@ from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, Smooth
 Solving = tuple[Callable[[Any], Any], Any]
 #: Calls such a function, or returns None if the process is to end at once.
 Solver = Callable[[Callable[[Any], Any], Any], Any]
+#: Time [ns] for which a computation that raised exceptions is not tried with more input: one that
+#: fails each time would keep a core busy.
+FAILURE_PAUSE = 60 * NS
 
 
 def called(function: Callable[[Any], Any], argument: Any) -> Any:
@@ -76,6 +80,7 @@ class SmootherSession(Session):
         self._create(solve_every)
         self.message_sizes: Mapping[tuple[str, str], Mapping[str, int]] = {}
         self._solve_finally = solve_finally
+        self._pause_end = 0  # of solutions [ns]
         self._files = None if folder is None else open_files(
             folder, self.team.robots, force, ['alignment.json'])
 
@@ -115,7 +120,8 @@ class SmootherSession(Session):
 
     def is_solution_due(self, new_poses: int) -> bool:
         """Return whether there is something to compute, if it takes some new poses."""
-        return self.team.new_measurements > 0 or self.team.new_poses >= new_poses
+        return monotonic_ns() >= self._pause_end and (
+            self.team.new_measurements > 0 or self.team.new_poses >= new_poses)
 
     def solving(self) -> Solving:
         """Return what computes the next solution from all input so far."""
@@ -128,8 +134,11 @@ class SmootherSession(Session):
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
         """Adopt a solution and yield its publications."""
         self.team.adopt(solution)
-        self.log.add_solution()
-        yield from self.outputs.of_solution()
+        yield from self._adopted()
+
+    def give_up(self, task: Any, error: str) -> None:
+        """Report the error for which a task has no result; the solution before stays."""
+        self._report_unsolved((local.robot for local in task.maps), error)
 
     def adopt_finally(self, final: FinalSolution) -> Iterator[Publication]:
         """Adopt the solution at the end of the input and yield its publications."""
@@ -159,7 +168,7 @@ class SmootherSession(Session):
             'not_joined': [
                 {'robots': list(failed.robots), 'reason': failed.reason}
                 for failed in solution.not_joined],
-            'unsolved': dict(solution.unsolved),
+            'unsolved': {**solution.unsolved, **self.diagnostics.failed},
             'messages': [
                 {'sender': sender, 'receiver': receiver, 'bytes': sizes,
                  'smallest': smallest(sizes)}
@@ -194,6 +203,18 @@ class SmootherSession(Session):
         """Return the content of a checkpoint of the run."""
         return checkpoint.content_of_smoother(
             self.settings.estimation, self.team, self.inputs)
+
+    def _adopted(self) -> Iterator[Publication]:
+        """Report an adopted solution, and yield its publications."""
+        self.diagnostics.failed = {}
+        self.log.add_solution({})
+        yield from self.outputs.of_solution()
+
+    def _report_unsolved(self, robots: Iterable[str], error: str) -> None:
+        """Report the error for which robots have no new solution."""
+        self._pause_end = monotonic_ns() + FAILURE_PAUSE
+        self.diagnostics.failed = dict.fromkeys(robots, error)
+        self.log.add_solution(self.diagnostics.failed)
 
     def _is_waiting(self) -> bool:
         return self.team.is_waiting

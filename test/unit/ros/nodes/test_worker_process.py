@@ -13,7 +13,7 @@ import time
 
 import pytest
 
-from helpers.dying_workers import die_once
+from helpers.dying_workers import die_once, end_of_file, fail_twice
 from helpers.optional import optional
 from helpers.processes import until
 
@@ -106,6 +106,47 @@ def test_repeated_deaths_are_described_and_delay_the_restart(monkeypatch):
         'the worker process ended with status 3: another one repeats the task',
         *(f'the worker process ended with status 3, {k} times in a row: another one repeats the'
           f' task in {delay} s' for k, delay in ((2, 1), (3, 2), (4, 4)))]
+
+
+@pytest.fixture
+def at_once(monkeypatch):
+    """Let processes start again without a delay."""
+    monkeypatch.setattr(worker, 'RESTART_DELAY', 0.0)
+
+
+@pytest.mark.usefixtures('at_once')
+def test_a_task_that_raises_exceptions_by_chance_is_repeated(tmp_path):
+    with closing(worker.Worker()) as doing:
+        ready(doing)
+        doing.begin(fail_twice, tmp_path)
+
+        assert done(doing) == 2
+
+        assert (doing.deaths, doing.fault) == (2, '')
+
+
+@pytest.mark.usefixtures('at_once')
+@pytest.mark.parametrize(('function', 'argument', 'reason'), [
+    (math.sqrt, -1.0, 'ValueError: math domain error'), (end_of_file, 0, 'EOFError: too short')])
+def test_a_task_that_always_raises_an_exception_is_given_up_and_the_next_one_is_done(
+    function, argument, reason
+):
+    with closing(worker.Worker()) as doing:
+        ready(doing)
+        doing.begin(function, argument)
+
+        failed = done(doing)
+
+        assert isinstance(failed, worker.FailedTask)
+        assert (failed.argument, failed.error) == (
+            argument, f'its computation fails with {reason}')
+        assert doing.deaths == 3
+        assert doing.fault == (
+            f'the worker process failed with {reason}, 3 times in a row: the task is given up,'
+            ' another process starts')
+        doing.begin(math.factorial, 5)
+        assert done(doing) == 120
+        assert (doing.deaths, doing.fault) == (3, '')
 
 
 def test_a_computing_process_ends_on_close():

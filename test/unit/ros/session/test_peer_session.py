@@ -14,6 +14,7 @@ import pytest
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.peers.messages import read
+from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UsageError, UserError
@@ -443,6 +444,49 @@ def test_a_rendezvous_that_goes_on_does_not_keep_maps_from_being_solved(clock):
             kinds.append(function.__name__)
 
     assert {'_solved_rendezvous', 'smoothed_union'} == {*kinds[:2]} == {*kinds[2:4]}
+
+
+def test_a_rendezvous_that_fails_is_reported_and_does_not_keep_maps_from_being_solved(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    run, error = sessions['p'], 'its computation fails with ZeroDivisionError: by zero'
+    for message in messages()[:900]:
+        feed(sessions, message)
+    kinds = []
+    for _ in range(60):
+        clock.now += NS // 2
+        for topic, message in sessions['q'].exchange():
+            run.receive(RawMessage(topic, EXCHANGE_TYPE, None, serialize(message)))
+        run.team.observed['q'] += 1
+        if run.is_solution_due(50):
+            function, task = run.solving()
+            kinds.append(function.__name__)
+            if function is smoothed_union:
+                list(run.adopt(function(task)))
+            else:
+                run.give_up(task, error)
+
+    assert kinds == ['_solved_rendezvous', 'smoothed_union']
+    lines = [line.text for line in run.log.take()]
+    assert lines.count(f'q is not aligned by the rendezvous: {error}') == 1
+    _, report = run.diagnostics.report(1, at_rest=False)
+    of_q = next(status for status in report.status if status.name == 'smoother: q')
+    assert error in {value.value for value in of_q.values}
+
+
+def test_a_union_that_fails_is_reported_for_all_robots_of_which_there_are_measurements(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    for message in messages()[:900]:
+        feed(sessions, message)
+    exchanged(sessions, clock, 10.0, is_over=lambda _: 'q' in sessions['p'].team.logs.robots)
+    run = sessions['p']
+
+    run.give_up(run.team.union_task(), 'its computation fails')
+
+    _, report = run.diagnostics.report(1, at_rest=False)
+    assert [
+        (status.name, status.level) for status in report.status[:2]
+        if status.message.startswith('not smoothed: its computation fails')] == [
+            ('smoother: p', 2), ('smoother: q', 2)]
 
 
 def test_a_parameter_file_may_list_the_own_robot_among_its_peers():

@@ -14,6 +14,7 @@ from fej_slam_ros.ros.messages import decoded, incoming
 from fej_slam_ros.ros.messages.common import from_quaternion, from_time
 from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session.outputs import MAX_PATH
+from fej_slam_ros.ros.session import smoother_session
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
 from helpers.ros import meeting, odometry_message, raw, raw_record, run_settings
@@ -98,6 +99,52 @@ def test_a_transform_composed_with_the_odometry_is_the_pose_of_the_smoother(is_j
         # Tens of metres in floats, and a quaternion between.
         difference = between(compose(transform, odometry[at]), poses[at].pose)
         np.testing.assert_allclose(difference, 0.0, atol=1e-12)
+
+
+def test_a_solution_that_fails_is_reported_once_and_keeps_poses_and_the_solution_before(tmp_path):
+    given = run_settings('p', 'q', shared_landmark_ids=False)
+    run = SmootherSession(given, tmp_path / 'out')
+    for message in RENDEZVOUS[:700]:
+        run.receive(message)
+        list(run.take())
+    list(run.adopt(solve(run.team.task())))
+    before, poses = run.state_hash(), len(run.team.trajectories['q'].stamps)
+    list(run.log.take())
+
+    for _ in range(2):
+        run.team.new_measurements += 1
+        _, task = run.solving()
+        run.give_up(task, 'its computation fails with ZeroDivisionError: by zero')
+        assert not run.is_solution_due(1)
+
+    sentence = 'not smoothed: its computation fails with ZeroDivisionError: by zero'
+    assert sorted(line.text for line in run.log.take()) == [
+        f'{name} is {sentence}' for name in 'pq']
+    assert [levels(run)[name][0] for name in 'pq'] == [2, 2]
+    assert all(levels(run)[name][1].startswith(sentence) for name in 'pq')
+    assert run.state_hash() == before
+    assert run.alignment()['unsolved'].keys() == {'p', 'q'}
+    run.write_files()
+    assert len((tmp_path / 'out' / 'trajectory_q.csv').read_text().splitlines()) == poses + 1
+
+    list(run.adopt(solve(run.team.task())))
+    assert sorted(line.text for line in run.log.take()) == [
+        f'{name} is smoothed again' for name in 'pq']
+    assert not any('fails' in levels(run)[name][1] for name in 'pq')
+
+
+def test_a_solution_that_failed_is_tried_with_new_input_after_a_pause(monkeypatch):
+    now = [0]
+    monkeypatch.setattr(smoother_session, 'monotonic_ns', lambda: now[0])
+    run, _ = driven(MEETING)
+    _, task = run.solving()
+    run.give_up(task, 'its computation fails')
+    now[0] += smoother_session.FAILURE_PAUSE
+    assert not run.is_solution_due(1)
+
+    run.team.new_poses += 1
+
+    assert run.is_solution_due(1)
 
 
 def smoothed_with(change, messages, at):
