@@ -77,12 +77,13 @@ class Radio:
     rng : of losses
     loss, repeated : probability that a message does not arrive, or arrives again later
     damage : returns the bytes that arrive of a message
+    delay : time from sending a message to its arrival [s]
 
     """
 
-    def __init__(self, robots, rng, loss=0.0, repeated=0.0, damage=lambda data: data):
+    def __init__(self, robots, rng, loss=0.0, repeated=0.0, damage=lambda data: data, delay=0.0):
         self.robots, self.now = robots, 0
-        self._damage = damage
+        self._damage, self._delay = damage, round(delay * NS)
         self.rejected, self.bytes = Counter(), Counter()
         self._rng, self._loss, self._repeated = rng, loss, repeated
         self._later = []
@@ -92,8 +93,11 @@ class Radio:
         for _ in range(round(duration * NS / TICK)):
             self.now += TICK
             later, self._later = self._later, []
-            for receiver, data in later:
-                self._deliver(receiver, data)
+            for arrival, receiver, data in later:
+                if arrival <= self.now:
+                    self._deliver(receiver, data)
+                else:
+                    self._later.append((arrival, receiver, data))
             for sender, robot in self.robots.items():
                 for data in robot.exchange.due(self.now):
                     self.bytes[sender] += len(data)
@@ -103,8 +107,12 @@ class Radio:
 
     def _send(self, receiver, data):
         if self._rng.random() < self._repeated:
-            self._later.append((receiver, data))
-        if self._rng.random() >= self._loss:
+            self._later.append((self.now + self._delay, receiver, data))
+        if self._rng.random() < self._loss:
+            return
+        if self._delay:
+            self._later.append((self.now + self._delay, receiver, data))
+        else:
             self._deliver(receiver, data)
 
     def _deliver(self, receiver, data):

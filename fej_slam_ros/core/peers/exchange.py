@@ -7,6 +7,9 @@ Every robot sends a list of its blocks in each period (*hello*). A robot that ha
 another one lacks sends them, with a limit on the bytes per second. A hello is thereby request and
 acknowledgement; every message may be lost, repeated or late. All messages go to all robots in
 reach, so that one block serves each of them.
+
+A block is sent again if a hello that came a round trip after it still lacks it. Hellos echo the
+stamps of the hellos of others, by which each robot measures the round trip to every other one.
 """
 
 from collections import Counter
@@ -15,15 +18,26 @@ from dataclasses import dataclass, field, replace
 
 from fej_slam_ros.core.peers.logs import is_of, Knowledge, LogName
 from fej_slam_ros.core.peers.messages import (
-    BlockMessage, Hello, hellos, MessageRejectedError, MessageRejection, read, write)
+    BlockMessage, echo_key, ECHO_MODULUS, Hello, hellos, MessageRejectedError, MessageRejection,
+    read, write)
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import NS
 
 #: Time without a message after which a robot is out of reach, in periods.
 REACH_PERIODS = 4
-#: Time [ns] that a message and the hello after it may take; a block is sent again if a hello that
-#: came later still lacks it.
-ROUND_TRIP = NS // 5
+#: Shortest time [ns] after which a hello that still lacks a block shows that it was lost; less
+#: makes no difference, as hellos come at their period.
+MIN_WAIT = NS // 5
+#: The same for a robot to which the round trip is not known, and the longest round trip [ns] that
+#: is believed: that of a satellite link with a queue.
+MAX_WAIT = 10 * NS
+#: Time [ns] by which a round trip may be longer than the measured ones before.
+ROUND_TRIP_MARGIN = NS // 20
+#: A longer round trip than before counts at once, as else every block would be sent again; of the
+#: difference to a shorter one, one part in this number.
+ROUND_TRIP_SMOOTHING = 4
+#: Unit of times in echoes [ns].
+MS = NS // 1000
 #: Maximum number of logs in the hellos of a robot.
 MAX_LOGS = 10_000
 #: Longest time [ns] for which bytes that were not sent may be sent later.
@@ -50,6 +64,7 @@ class PeerState:
     in_reach_since: int = 0  #: time of the first one since it came in reach [ns]
     run: int | None = None  #: its run by its newest hello
     hello: tuple[int, int] | None = None  #: time of its newest hello by its own clock and by ours
+    round_trip: int | None = None  #: time to it and back [ns], None before it is measured
     #: time of its last hello about each log, and its blocks of the log
     known: dict[LogName, tuple[int, Knowledge]] = field(default_factory=dict)
     others: set[LogName] = field(default_factory=set)  #: its logs of unknown robots
@@ -57,6 +72,21 @@ class PeerState:
     waited: int = 0  #: time in which measurements waited for rendezvous information [ns]
     bytes_received: int = 0
     rejected: Counter[MessageRejection] = field(default_factory=Counter)
+
+    def add_round_trip(self, measured: int) -> None:
+        """Use a measured round trip [ns], unless a clock has changed in it."""
+        if measured > MAX_WAIT:
+            return
+        if self.round_trip is None or measured > self.round_trip:
+            self.round_trip = measured
+        else:
+            self.round_trip -= (self.round_trip - measured) // ROUND_TRIP_SMOOTHING
+
+    def wait(self) -> int:
+        """Return the time [ns] after which a hello that lacks a block shows that it was lost."""
+        if self.round_trip is None:
+            return MAX_WAIT
+        return max(self.round_trip + ROUND_TRIP_MARGIN, MIN_WAIT)
 
 
 class PeerExchange:
@@ -135,7 +165,8 @@ class PeerExchange:
             self._next_hello = now + self.settings.period
             self.logs.flush()
             self._forget_sent(now)
-            for data in hellos(self.logs.robot, self.logs.run, now, self._known()):
+            for data in hellos(
+                    self.logs.robot, self.logs.run, now, self._known(), self._echoes(now)):
                 yield self._counted('hello', data)
         elapsed, self._last = min(now - self._last, MAX_SAVING), now
         rate = self.settings.rate / NS
@@ -182,6 +213,10 @@ class PeerExchange:
                 return
             # Its clock has gone back.
             peer.hello = hello.stamp, now
+        echo = hello.echoes.get(echo_key(self.logs.robot))
+        if echo is not None:
+            # Both times are rounded down: one more is not negative where clocks differ in rate.
+            peer.add_round_trip((now // MS + 1 - echo) % ECHO_MODULUS * MS)
         _, heard = peer.hello
         # Logs of former peers are still known, and given to robots that lack them.
         of_team = {
@@ -206,6 +241,13 @@ class PeerExchange:
         # Whoever else has it need not send it at the same time.
         self._sent_at[block.log, block.run, block.number] = now
 
+    def _echoes(self, now: int) -> dict[int, int]:
+        """Return the time by the clock of each robot in reach, late by the delay from there."""
+        newest = {name: self.peers[name].hello for name in self.in_reach(now)}
+        return {
+            echo_key(name): (hello[0] + now - hello[1]) // MS % ECHO_MODULUS
+            for name, hello in newest.items() if hello is not None}
+
     def _is_wanted(self, name: LogName) -> bool:
         """Return whether a log is of the present team."""
         return is_of(name, {self.logs.robot, *self.peers})
@@ -224,10 +266,11 @@ class PeerExchange:
         first block again, and the others when it has that.
 
         """
+        limit = REACH_PERIODS * self.settings.period + max(
+            (self.peers[name].round_trip or 0 for name in self.in_reach(now)), default=0)
         self._sent_at = {
             (name, run, number): at for (name, run, number), at in self._sent_at.items()
-            if now - at <= REACH_PERIODS * self.settings.period
-            or (number > 0 and self.logs.logs[name].run == run)}
+            if now - at <= limit or (number > 0 and self.logs.logs[name].run == run)}
 
     def _lacking(self, now: int) -> list[tuple[LogName, int, int]]:
         """Return the blocks that a robot in reach lacks, in the order in which they are sent."""
@@ -236,7 +279,8 @@ class PeerExchange:
             for other in self.in_reach(now)
             for name, run, number, heard in self._missing(
                 self.peers[other], other, self._waits(other))
-            if heard - self._sent_at.get((name, run, number), heard - ROUND_TRIP) >= ROUND_TRIP}
+            if (sent_at := self._sent_at.get((name, run, number))) is None
+            or heard - sent_at >= self.peers[other].wait()}
         return sorted(lacking.difference(self.held_back), key=self._priority)
 
     def _missing(

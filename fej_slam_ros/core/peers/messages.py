@@ -15,8 +15,8 @@ if its number is the same::
     4         CRC-32 of all before
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
 from enum import Enum
 import struct
 import zlib
@@ -25,7 +25,7 @@ from fej_slam_ros.core.peers.logs import Block, DIGEST_SIZE, Knowledge, LogName,
 from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
 
 #: Number of the format, and the records that blocks contain.
-VERSION, RECORDS = 3, (Odometry, Scan, Observation, RobotScan, RobotObservation)
+VERSION, RECORDS = 4, (Odometry, Scan, Observation, RobotScan, RobotObservation)
 _SCHEMA = zlib.crc32(
     repr([VERSION, *([field.name for field in fields(r)] for r in RECORDS)]).encode())
 #: The first bytes of every message.
@@ -37,7 +37,9 @@ MAX_BLOCK_SIZE = 1_047
 
 _HELLO, _BLOCK = 1, 2
 _STAMP, _COUNT, _RUN = struct.Struct('<q'), struct.Struct('<I'), struct.Struct('<q')
-_CRC = struct.Struct('<I')
+_ECHO, _CRC = struct.Struct('<II'), struct.Struct('<I')
+#: Modulus of times in echoes [ms], of 49 days.
+ECHO_MODULUS = 2**32
 
 
 class MessageRejection(str, Enum):
@@ -71,6 +73,9 @@ class Hello:
     stamp: int  #: time at which it was sent [ns]
     logs: int  #: number of logs of which it has blocks
     known: tuple[Knowledge, ...]  #: its blocks of all or some of these
+    #: for each robot in reach by its key: the stamp of its newest hello and the time since
+    #: this was received [ms], modulo ECHO_MODULUS; only in the first of several hellos
+    echoes: Mapping[int, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +117,18 @@ def read(data: bytes) -> Message:
     raise MessageRejectedError(MessageRejection.CORRUPT)
 
 
+def echo_key(robot: str) -> int:
+    """Return the key of a robot in echoes: the CRC-32 of its name, as names may be long."""
+    return zlib.crc32(robot.encode())
+
+
 def hellos(
-    sender: str, run: int, stamp: int, known: Sequence[Knowledge]
+    sender: str, run: int, stamp: int, known: Sequence[Knowledge], echoes: Mapping[int, int]
 ) -> Iterator[bytes]:
     """Yield the hellos with all that a robot has: one or, for many logs, several."""
     space = MAX_SIZE - len(write(Hello(sender, run, stamp, 0, ())))
     parts: list[list[Knowledge]] = [[]]
-    free = space
+    free = space - len(echoes) * _ECHO.size
     for knowledge in known:
         size = len(_knowledge(knowledge))
         if size > free:
@@ -126,14 +136,15 @@ def hellos(
             free = space
         parts[-1].append(knowledge)
         free -= size
-    for part in parts:
-        yield write(Hello(sender, run, stamp, len(known), tuple(part)))
+    for k, part in enumerate(parts):
+        yield write(Hello(sender, run, stamp, len(known), tuple(part), {} if k else echoes))
 
 
 def _hello(hello: Hello) -> bytes:
     return b''.join([
         _RUN.pack(hello.run), _STAMP.pack(hello.stamp), _COUNT.pack(hello.logs),
-        _COUNT.pack(len(hello.known)), *map(_knowledge, hello.known)])
+        _COUNT.pack(len(hello.known)), *map(_knowledge, hello.known),
+        *(_ECHO.pack(key, time) for key, time in hello.echoes.items())])
 
 
 def _knowledge(known: Knowledge) -> bytes:
@@ -159,7 +170,9 @@ def _read_hello(reader: '_MessageReader', sender: str) -> Hello:
     count, = reader.numbers(_COUNT)
     if count > MAX_SIZE:
         raise MessageRejectedError(MessageRejection.CORRUPT)
-    return Hello(sender, run, stamp, logs, tuple(_read_knowledge(reader) for _ in range(count)))
+    known = tuple(_read_knowledge(reader) for _ in range(count))
+    echoes = dict(_ECHO.iter_unpack(reader.rest(_ECHO.size)))
+    return Hello(sender, run, stamp, logs, known, echoes)
 
 
 def _read_knowledge(reader: '_MessageReader') -> Knowledge:
@@ -214,5 +227,7 @@ class _MessageReader:
     def log_name(self) -> LogName:
         return LogName(self.text(), self.text())
 
-    def rest(self) -> bytes:
-        return self.take(len(self._frame) - self._at)
+    def rest(self, unit: int = 1) -> bytes:
+        """Take all that remains; it is truncated unless its size is a multiple of a unit."""
+        size = len(self._frame) - self._at
+        return self.take(size + -size % unit)

@@ -61,6 +61,61 @@ def test_everything_arrives_once_over_a_link_that_loses_and_repeats(loss, repeat
     assert sent < 1.3 * size / (1.0 - loss) + 2_000
 
 
+@pytest.mark.parametrize('loss', [0.0, 0.2])
+@pytest.mark.parametrize('delay', [0.05, 0.3, 0.5, 1.0, 2.0])
+def test_only_lost_blocks_are_sent_again_whatever_the_delay_of_the_link(delay, loss):
+    robots = team('p', 'q')
+    radio = Radio(robots, np.random.default_rng(1), loss, delay=delay)
+    for k in range(60):
+        for name, robot in robots.items():
+            drive(robot, first=3 * k, count=3, seed=ord(name) + k)
+        radio.run(0.5)
+
+    radio.run(30.0)
+
+    assert all(len(known(robot, name)) == 360 for robot in robots.values() for name in robots)
+    sent = sum(robot.exchange.bytes_sent['block'] for robot in robots.values())
+    # Headers of blocks with the measurements of one period are 18 % of their size.
+    assert sent < 1.3 * robots['p'].logs.size() / (1.0 - loss)
+
+
+@pytest.mark.parametrize('delay', [0.0, 0.3, 2.0])
+def test_a_lost_block_is_sent_again_after_a_round_trip_and_two_periods_at_most(delay):
+    is_lost = [False]
+
+    def damaged(data):
+        if is_lost[0] and isinstance(read(data), BlockMessage):
+            is_lost[0] = False
+            return data[:-1]
+        return data
+
+    robots = team('p', 'q')
+    radio = Radio(robots, np.random.default_rng(1), damage=damaged, delay=delay)
+    radio.run(10.0)
+    is_lost[0] = True
+    driven = drive(robots['p'], count=5)
+
+    # Until the block is sent, its way and that of the next hello, and its way again.
+    radio.run(0.5 + 2.0 * delay + 2.0 * 0.5 + delay + 0.1)
+
+    assert radio.rejected.total() == 1
+    assert known(robots['q'], 'p') == identities(driven)
+
+
+def test_the_round_trip_is_measured_whatever_the_clocks_of_the_robots():
+    robots = team('p', 'q')
+    there, waiting, back, ahead = 3 * NS // 10, NS // 7, NS, 7 * 10**15 + 123
+
+    hello, = robots['p'].exchange.due(0)
+    robots['q'].exchange.receive(hello, ahead + there)
+    answer, *_ = robots['q'].exchange.due(ahead + there + waiting)
+    robots['p'].exchange.receive(answer, there + waiting + back)
+
+    # Times in hellos are in milliseconds.
+    measured = robots['p'].exchange.peers['q'].round_trip
+    assert measured == pytest.approx(there + back, abs=2e6)
+
+
 def test_what_is_measured_while_in_reach_arrives_within_two_periods():
     robots = team('p', 'q')
     radio = Radio(robots, np.random.default_rng(1))

@@ -6,12 +6,12 @@ import pytest
 
 from fej_slam_ros.core.peers.logs import Block, Knowledge, LogName, NO_DIGEST
 from fej_slam_ros.core.peers.messages import (
-    BlockMessage, Hello, hellos, MAX_BLOCK_SIZE, MAX_SIZE, MessageRejectedError, MessageRejection,
-    read, write)
+    BlockMessage, echo_key, Hello, hellos, MAX_BLOCK_SIZE, MAX_SIZE, MessageRejectedError,
+    MessageRejection, read, write)
 
 HELLO = Hello('p', 5, 17, 3, (
     Knowledge(LogName('p'), 5, 12, b'abcdefgh', frozenset({14, 20, 267})),
-    Knowledge(LogName('q', 'p'), 3, 0, NO_DIGEST, frozenset(), True)))
+    Knowledge(LogName('q', 'p'), 3, 0, NO_DIGEST, frozenset(), True)), {echo_key('q'): 2**32 - 1})
 BLOCK = BlockMessage('p', Block(LogName('q'), 5, 12, b'abcdefgh', bytes(range(256))))
 
 
@@ -60,9 +60,13 @@ def test_a_message_that_no_robot_sends_is_rejected_by_its_size():
 def test_what_a_robot_has_of_many_logs_is_told_in_several_messages():
     known = [Knowledge(LogName(f'robot_{k}'), k, 3, NO_DIGEST) for k in range(100)]
 
-    messages = [*hellos('p', 1, 2, known)]
+    # The largest team, all of it in reach.
+    echoes = {echo_key(f'robot_{k}'): k for k in range(99)}
+
+    messages = [*hellos('p' * 64, 1, 2, known, echoes)]
 
     assert max(map(len, messages)) <= MAX_SIZE
     told = [entry for data in messages for entry in read(data).known]
     assert told == known
     assert {read(data).logs for data in messages} == {100}
+    assert [read(data).echoes for data in messages] == [echoes, *[{}] * (len(messages) - 1)]
