@@ -67,6 +67,8 @@ class TeamLogs:
     def __init__(self, robot: str, run: int, noise: NoiseSettings) -> None:
         self.robot, self.run = robot, run
         self.logs: dict[LogName, Log] = {}
+        # The latest run of rendezvous information of which the first block has not arrived.
+        self._next_information: dict[LogName, Log] = {}
         # The last measurement of each log, which the next block may go on with.
         self._last: dict[str, list[Measurement]] = {}
         self._noise: dict[str, NoiseSettings] = {}
@@ -114,6 +116,9 @@ class TeamLogs:
         if block.number >= (MAX_INFORMATION if block.log.about else len(log.blocks) + MAX_AHEAD):
             raise MessageRejectedError(MessageRejection.TOO_FAR_AHEAD)
         if log is not self.logs.get(block.log):
+            if block.number > 0:
+                log.ahead[block.number] = block
+                return True
             if block.digest != NO_DIGEST:
                 raise MessageRejectedError(MessageRejection.CONTRADICTION)
             if not block.log.about:
@@ -182,13 +187,19 @@ class TeamLogs:
         if log is None:
             self._replace(Log(block.log, block.run))
             return self.logs[block.log]
-        if block.number > 0:
-            # What is known is replaced only by a run that begins well.
-            raise MessageRejectedError(MessageRejection.TOO_FAR_AHEAD)
-        return Log(block.log, block.run)
+        # What is known is replaced only by a run that begins well.
+        if not block.log.about:
+            if block.number > 0:
+                raise MessageRejectedError(MessageRejection.TOO_FAR_AHEAD)
+            return Log(block.log, block.run)
+        coming = self._next_information.get(block.log)
+        if coming is None or coming.run != block.run:
+            coming = self._next_information[block.log] = Log(block.log, block.run)
+        return coming
 
     def _replace(self, log: Log) -> None:
         self.logs[log.name] = log
+        self._next_information.pop(log.name, None)
         if not log.name.about:
             self._last.pop(log.name.author, None)
             self._noise.pop(log.name.author, None)

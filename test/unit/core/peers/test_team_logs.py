@@ -164,6 +164,22 @@ def test_an_earlier_run_is_rejected_and_a_later_one_replaces_it():
     assert rejection(logs, blocks_of(yesterday)[0]) is MessageRejection.OLD_RUN
 
 
+def test_later_information_replaces_the_earlier_when_its_first_block_arrives_in_whatever_order():
+    name, sender, logs = LogName('q', 'p'), TeamLogs('q', 1, NOISE), receiver()
+    earlier, later = [b'a', b'b'], [b'c', b'd', b'e']
+    sender.publish(name, earlier)
+    for number in (1, 0):
+        logs.add(sender.logs[name].block(number))
+    sender.publish(name, later)
+    blocks = [sender.logs[name].block(number) for number in range(3)]
+
+    assert [logs.add(blocks[k]) for k in (2, 1, 2)] == [True, True, False]
+    assert logs.logs[name].blocks == earlier
+    assert logs.add(blocks[0])
+
+    assert logs.logs[name].blocks == later
+
+
 def test_a_later_run_that_begins_badly_replaces_nothing():
     sender, records = written()
     logs = receiver()
