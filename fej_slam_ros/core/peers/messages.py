@@ -25,7 +25,7 @@ from fej_slam_ros.core.peers.logs import Block, DIGEST_SIZE, Knowledge, LogName,
 from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
 
 #: Number of the format, and the records that blocks contain.
-VERSION, RECORDS = 4, (Odometry, Scan, Observation, RobotScan, RobotObservation)
+VERSION, RECORDS = 5, (Odometry, Scan, Observation, RobotScan, RobotObservation)
 _SCHEMA = zlib.crc32(
     repr([VERSION, *([field.name for field in fields(r)] for r in RECORDS)]).encode())
 #: The first bytes of every message.
@@ -54,6 +54,8 @@ class MessageRejection(str, Enum):
     TOO_FAR_AHEAD = 'too_far_ahead'
     CONTRADICTION = 'contradiction'
     BAD_CONTENT = 'bad_content'
+    OTHER_SHARED_LANDMARK_IDS = 'other_shared_landmark_ids'
+    OTHER_KEYFRAME_DISTANCE = 'other_keyframe_distance'
 
 
 class MessageRejectedError(Exception):

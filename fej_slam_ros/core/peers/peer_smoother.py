@@ -137,8 +137,11 @@ class PeerSmoother(TeamSmoother):
         known = super().not_in_map() if self._union is None else self._union.not_in_map()
         in_map = {
             name for name, trajectory in self.trajectories.items() if trajectory.frame == MAP}
+        reasons = known | {
+            name: f'its parameter {parameter} differs from that of {self.robot}'
+            for name, parameter in self.logs.differing.items()}
         return {
-            name: known.get(name, 'nothing has been received from it')
+            name: reasons.get(name, 'nothing has been received from it')
             for name in self.robots if name not in in_map}
 
     def state_hash(self) -> str:

@@ -5,7 +5,7 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 import struct
-from typing import Any
+from typing import Any, NamedTuple
 
 from fej_slam_ros.core.peers.blocks import (
     BadBlockError, decoded, encoded, Measurement, RestOfRobotScan, RestOfScan)
@@ -21,11 +21,21 @@ MAX_BLOCK_RECORDS, MAX_BLOCK_OBSERVATIONS = 64, 8
 #: Maximum number of blocks of rendezvous information.
 MAX_INFORMATION = 16
 #: Standard deviations of odometry and of landmarks, the three scales of noise, and the systematic
-#: errors of `NoiseSettings`.
-_NOISE = struct.Struct('<11d')
-MAX_NOISE = 1e6
+#: errors of `NoiseSettings`; then `TeamParameters`.
+_FIRST_BLOCK = struct.Struct('<11d?d')
+MAX_NOISE, MAX_KEYFRAME_DISTANCE = 1e6, 1e9
 #: Number of records after which the size of the block is computed.
 CHECK_EVERY = 8
+
+
+class TeamParameters(NamedTuple):
+    """Parameters that are the same for all robots, as else the same logs give different maps."""
+
+    shared_landmark_ids: bool = True
+    keyframe_distance: float = 0.0  #: [m]
+
+
+DEFAULT_PARAMETERS = TeamParameters()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,22 +60,30 @@ class TeamLogs:
     The logs of a team as one robot knows them.
 
     The first block of a log of measurements is the noise of its author, so that whoever has the
-    log can process it as its author does.
+    log can process it as its author does, and its team parameters. The log of a robot with other
+    ones is rejected.
 
     Parameters
     ----------
     robot : name of the robot
     run : number of its present run, later ones have larger numbers
     noise : its noise
+    parameters : of its team
 
     Attributes
     ----------
     logs : all logs by name
+    differing : name of the parameter that differs from that of this robot, by rejected robot
 
     """
 
-    def __init__(self, robot: str, run: int, noise: NoiseSettings) -> None:
+    def __init__(
+        self, robot: str, run: int, noise: NoiseSettings,
+        parameters: TeamParameters = DEFAULT_PARAMETERS,
+    ) -> None:
         self.robot, self.run = robot, run
+        self.differing: dict[str, str] = {}
+        self._parameters = parameters
         self.logs: dict[LogName, Log] = {}
         # The latest run of rendezvous information of which the first block has not arrived.
         self._next_information: dict[LogName, Log] = {}
@@ -75,7 +93,7 @@ class TeamLogs:
         self._pending: list[Measurement] = []
         self._unchecked = 0
         self._new_blocks: list[Block] = []
-        self._write(LogName(robot), [_noise_block(noise)])
+        self._write(LogName(robot), [_first_block(noise, parameters)])
         self._noise[robot] = noise_of(noise)
 
     def record(self, measurement: Measurement) -> None:
@@ -122,7 +140,7 @@ class TeamLogs:
             if block.digest != NO_DIGEST:
                 raise MessageRejectedError(MessageRejection.CONTRADICTION)
             if not block.log.about:
-                _checked_content(block)
+                self._checked_content(block)
             self._replace(log)
         log.ahead[block.number] = block
         self._append_ahead(log)
@@ -203,6 +221,7 @@ class TeamLogs:
         if not log.name.about:
             self._last.pop(log.name.author, None)
             self._noise.pop(log.name.author, None)
+            self.differing.pop(log.name.author, None)
 
     def _append_ahead(self, log: Log) -> None:
         """Append the blocks that wait for no other one."""
@@ -215,13 +234,13 @@ class TeamLogs:
             except MessageRejectedError as rejected:
                 # What follows may not be what the author wrote either.
                 log.ahead.clear()
-                log.is_ended = rejected.reason is MessageRejection.BAD_CONTENT
+                log.is_ended = rejected.reason is not MessageRejection.CONTRADICTION
                 raise
             del log.ahead[block.number]
             self._new_blocks.append(log.append(block.content))
 
     def _use(self, author: str, block: Block) -> None:
-        content = _checked_content(block)
+        content = self._checked_content(block)
         if isinstance(content, NoiseSettings):
             self._noise[author] = content
         else:
@@ -229,6 +248,20 @@ class TeamLogs:
             if not _appended(known, content):
                 raise MessageRejectedError(MessageRejection.BAD_CONTENT)
             self._last[author] = known[-1:]
+
+    def _checked_content(self, block: Block) -> NoiseSettings | list[Measurement]:
+        """Return what is in a block of a log of measurements, or raise a MessageRejectedError."""
+        try:
+            if block.number > 0:
+                return decoded(block.content, block.log.author)
+            noise, parameters = _read_first_block(block.content)
+        except BadBlockError:
+            raise MessageRejectedError(MessageRejection.BAD_CONTENT) from None
+        for name, own, other in zip(TeamParameters._fields, self._parameters, parameters):
+            if other != own:
+                self.differing[block.log.author] = name
+                raise MessageRejectedError(MessageRejection(f'other_{name}'))
+        return noise
 
     def _close_full_blocks(self) -> None:
         """Close blocks while the pending measurements do not fit into one."""
@@ -249,16 +282,6 @@ class TeamLogs:
     def _write(self, name: LogName, contents: list[bytes]) -> None:
         log = self.logs.setdefault(name, Log(name, self.run))
         self._new_blocks += [log.append(content) for content in contents]
-
-
-def _checked_content(block: Block) -> NoiseSettings | list[Measurement]:
-    """Return what is in a block of a log of measurements, or raise a MessageRejectedError."""
-    try:
-        if block.number == 0:
-            return _read_noise(block.content)
-        return decoded(block.content, block.log.author)
-    except BadBlockError:
-        raise MessageRejectedError(MessageRejection.BAD_CONTENT) from None
 
 
 def _divided(measurement: Measurement) -> Iterator[Measurement]:
@@ -298,22 +321,25 @@ def noise_of(robot: NoiseSettings) -> NoiseSettings:
         field.name: getattr(robot, field.name) for field in fields(NoiseSettings)})
 
 
-def _noise_block(noise: NoiseSettings) -> bytes:
-    return _NOISE.pack(
+def _first_block(noise: NoiseSettings, parameters: TeamParameters) -> bytes:
+    return _FIRST_BLOCK.pack(
         *noise.odometry_sigma, *noise.landmark_sigma, noise.odometry_noise_scale,
         noise.landmark_noise_scale, noise.robot_noise_scale, *noise.odometry_scale,
-        noise.odometry_turn_bias)
+        noise.odometry_turn_bias, *parameters)
 
 
-def _read_noise(content: bytes) -> NoiseSettings:
-    """Return the noise in the first block of a log, or raise a BadBlockError."""
-    if len(content) != _NOISE.size:
-        raise BadBlockError('its size is not that of noise')
-    *positive, bias = _NOISE.unpack(content)
+def _read_first_block(content: bytes) -> tuple[NoiseSettings, TeamParameters]:
+    """Return the noise and the parameters in the first block, or raise a BadBlockError."""
+    if len(content) != _FIRST_BLOCK.size:
+        raise BadBlockError('its size is not that of a first block')
+    *positive, bias, shared_landmark_ids, keyframe_distance = _FIRST_BLOCK.unpack(content)
     if not (all(0.0 < value < MAX_NOISE for value in positive) and abs(bias) < MAX_NOISE):
         raise BadBlockError('noise is positive and finite')
+    if not 0.0 <= keyframe_distance <= MAX_KEYFRAME_DISTANCE:
+        raise BadBlockError('the distance of keyframes is not negative, and finite')
     x, y, phi, z_x, z_y, *scales, distance, turn = positive
-    return NoiseSettings(
+    noise = NoiseSettings(
         odometry_sigma=(x, y, phi), landmark_sigma=(z_x, z_y), odometry_noise_scale=scales[0],
         landmark_noise_scale=scales[1], robot_noise_scale=scales[2],
         odometry_scale=(distance, turn), odometry_turn_bias=bias)
+    return noise, TeamParameters(shared_landmark_ids, keyframe_distance)

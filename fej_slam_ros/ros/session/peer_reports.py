@@ -34,6 +34,8 @@ EXPLANATIONS = {
     MessageRejection.TOO_FAR_AHEAD: 'what comes before it is missing',
     MessageRejection.CONTRADICTION: 'it differs from what was received before',
     MessageRejection.BAD_CONTENT: 'it contains no possible measurements',
+    MessageRejection.OTHER_SHARED_LANDMARK_IDS: 'its author has another shared_landmark_ids',
+    MessageRejection.OTHER_KEYFRAME_DISTANCE: 'its author has another keyframe_distance',
 }
 
 

@@ -20,7 +20,7 @@ from fej_slam_ros.core.peers.messages import MessageRejectedError
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import (
     rendezvous_task, RendezvousResult, RendezvousTask, solve_rendezvous)
-from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs
+from fej_slam_ros.core.peers.team_logs import noise_of, TeamLogs, TeamParameters
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import NoiseSettings, Settings
@@ -115,7 +115,8 @@ class PeerSession(SmootherSession):
                     f"parameter {name!r} is not for a smoother with 'peers', which continues from"
                     " the measurements in a file: give 'exchange_file' instead")
         own, *others = settings.robots
-        logs = TeamLogs(own.name, time_ns(), own)
+        logs = TeamLogs(own.name, time_ns(), own, TeamParameters(
+            settings.shared_landmark_ids, settings.keyframe_distance))
         if node.exchange_file:
             self._file = self._resources.enter_context(
                 self._open_exchange(Path(node.exchange_file), own.name))
@@ -142,6 +143,12 @@ class PeerSession(SmootherSession):
             for block in blocks:
                 logs.restore(block)
         except MessageRejectedError as rejected:
+            if logs.robot in logs.differing:
+                parameter = logs.differing[logs.robot]
+                raise UserError(
+                    f'exchange_file {self.settings.node.exchange_file} was written with another'
+                    f' {parameter}: give the value it had, or move it away to begin a new run'
+                    ) from None
             raise UserError(
                 f'exchange_file {self.settings.node.exchange_file} is damaged ({rejected}): move'
                 ' it away to begin a new run') from None

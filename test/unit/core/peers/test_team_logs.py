@@ -11,7 +11,7 @@ from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.peers.blocks import encoded, RestOfScan
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MAX_BLOCK_SIZE, MessageRejectedError, MessageRejection
-from fej_slam_ros.core.peers.team_logs import TeamLogs
+from fej_slam_ros.core.peers.team_logs import TeamLogs, TeamParameters
 from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
@@ -203,6 +203,32 @@ def test_a_log_ends_where_its_content_is_impossible():
 
     assert rejection(logs, bad) is MessageRejection.BAD_CONTENT
     assert logs.logs[LogName('q')].knowledge().is_ended
+
+
+@pytest.mark.parametrize('parameter', TeamParameters._fields)
+def test_the_log_of_a_robot_with_other_team_parameters_is_rejected_with_the_parameter(parameter):
+    common = TeamParameters(shared_landmark_ids=False, keyframe_distance=0.5)
+    other = common._replace(**{parameter: {'shared_landmark_ids': True}.get(parameter, 0.6)})
+    logs = TeamLogs('p', 1, NOISE, common)
+
+    first, = blocks_of(TeamLogs('q', 1, NOISE, other))
+    assert rejection(logs, first).value == f'other_{parameter}'
+
+    assert logs.differing == {'q': parameter}
+    assert logs.robots == ['p']
+    # No more of it is asked for, until its author begins again.
+    assert logs.logs[LogName('q')].knowledge().is_ended
+    restarted, = blocks_of(TeamLogs('q', 2, NOISE, common))
+    assert logs.add(restarted)
+    assert (logs.differing, logs.robots) == ({}, ['p', 'q'])
+
+
+@pytest.mark.parametrize('distance', [-1.0, np.nan, np.inf])
+def test_an_impossible_distance_of_keyframes_ends_a_log(distance):
+    parameters = TeamParameters(keyframe_distance=distance)
+    first, = blocks_of(TeamLogs('q', 1, NOISE, parameters))
+
+    assert rejection(receiver(), first) is MessageRejection.BAD_CONTENT
 
 
 def test_another_robot_of_the_same_name_is_noticed():

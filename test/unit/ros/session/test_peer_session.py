@@ -349,12 +349,32 @@ def test_a_file_of_which_only_a_part_of_the_first_block_was_written_is_empty(tmp
     run.discard_files()
 
 
-def test_a_file_that_was_written_with_another_noise_is_rejected(tmp_path):
+@pytest.mark.parametrize(('values', 'named'), [
+    ({'odometry_noise_scale': 3.0}, 'noise of p'),
+    ({'shared_landmark_ids': True}, 'shared_landmark_ids'),
+    ({'keyframe_distance': 0.5}, 'keyframe_distance')])
+def test_a_file_that_was_written_with_other_parameters_is_rejected(tmp_path, values, named):
     path = str(tmp_path / 'p.exchange')
     session('p', 'q', exchange_file=path).discard_files()
 
-    with pytest.raises(UserError, match='written with another noise of p'):
-        session('p', 'q', exchange_file=path, odometry_noise_scale=3.0)
+    with pytest.raises(UserError, match=f'written with another {named}'):
+        session('p', 'q', exchange_file=path, **values)
+
+
+@pytest.mark.parametrize(
+    'values', [{'shared_landmark_ids': True}, {'keyframe_distance': 0.5}], ids=str)
+def test_robots_with_other_team_parameters_name_the_parameter_and_use_no_log(clock, values):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p', **values)}
+
+    exchanged(sessions, clock, 10.0)
+
+    parameter, = values
+    for run, other in ((sessions['p'], 'q'), (sessions['q'], 'p')):
+        assert parameter in run.team.not_in_map()[other]
+        assert run.team.logs.contents(other).measurements() == []
+        run.log.check(0)
+        assert any(f'another {parameter}' in line.text for line in run.log.take())
+        run.discard_files()
 
 
 class SlowFile(ExchangeFile):
