@@ -11,6 +11,7 @@ import foxglove
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener, WebSocketServer
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
@@ -51,6 +52,7 @@ class ServedTopic:
     channel: foxglove.Channel  #: through which clients receive it
     newest: bytes = b''  #: its last message, for clients that subscribe later
     subscription: Subscription | None = None  #: to the topic, while a client wants it
+    is_incompatible: bool = False  #: whether a publisher does not fit the subscription
 
 
 class View(ServerListener):
@@ -116,14 +118,19 @@ class View(ServerListener):
         def receive(raw: bytes) -> None:
             self._pass_on(topic, raw)
 
+        def note_incompatible(_: object) -> None:
+            served.is_incompatible = True
+
         served = self._served[topic]
         wanted = topic == DIAGNOSTICS_TOPIC or served.channel.has_sinks()
+        if served.subscription is not None and (served.is_incompatible or not wanted):
+            self._node.destroy_subscription(served.subscription)
+            served.subscription, served.newest, served.is_incompatible = None, b'', False
+        # Later publishers may offer less: a new subscription adapts to them, too.
         if wanted and served.subscription is None:
             served.subscription = self._node.create_subscription(
-                message_class(type_name), topic, receive, AS_OFFERED, raw=True)
-        elif served.subscription is not None and not wanted:
-            self._node.destroy_subscription(served.subscription)
-            served.subscription, served.newest = None, b''
+                message_class(type_name), topic, receive, AS_OFFERED, raw=True,
+                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=note_incompatible))
 
     def _pass_on(self, topic: str, raw: bytes) -> None:
         if len(raw) > MAX_MESSAGE_SIZE:

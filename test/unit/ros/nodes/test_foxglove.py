@@ -21,6 +21,7 @@ from helpers.ros import header, meeting, meeting_truth, raw, raw_record
 
 foxglove_client = optional('helpers.foxglove_client')
 live_helpers = optional('helpers.live')
+process = optional('fej_slam_ros.ros.nodes.ros_process')
 
 pytestmark = [pytest.mark.ros, pytest.mark.needs('foxglove', 'websockets')]
 
@@ -102,6 +103,20 @@ def test_a_pose_arrives_as_it_was_published(viewed):
     assert (told.header.stamp.nanosec, told.header.frame_id) == (7, 'map')
     assert (told.pose.pose.position.x, told.pose.pose.position.y) == (7.0, 2.0)
     assert told.pose.covariance[[0, 7, 35]].tolist() == [0.5, 0.25, 0.125]
+
+
+def test_a_publisher_of_another_quality_of_service_replaces_the_first(viewed):
+    first = viewed.publisher('r1/pose', live_helpers.POSE)
+    client = viewed.client(POSE)
+    viewed.wait_until_wanted(first)
+
+    viewed.domain.node.destroy_publisher(first)
+    second = viewed.domain.node.create_publisher(
+        live_helpers.message_class(live_helpers.POSE), 'r1/pose', process.best_effort(10))
+    viewed.wait_until_wanted(second)
+    second.publish(pose_message(7))
+
+    viewed.domain.until(lambda: client.got(POSE))
 
 
 @pytest.mark.slow
