@@ -14,6 +14,7 @@ live_helpers = optional('helpers.live')
 lifecycle = optional('lifecycle_msgs.srv')
 rclpy = optional('rclpy')
 services = optional('rcl_interfaces.srv')
+trigger = optional('std_srvs.srv')
 
 pytestmark = pytest.mark.ros
 
@@ -118,6 +119,29 @@ def test_deactivation_processes_queued_input_and_is_a_gap_in_the_input(domain, t
     domain.end_estimate()
 
     assert stamps(tmp_path / 'run') == [*range(0, 1000, 100), *range(2000, 3000, 100)]
+
+
+def test_requests_that_wait_during_a_cleanup_do_not_end_the_node(domain, tmp_path):
+    domain.estimate(**TEAM, checkpoint=str(tmp_path / 'team.checkpoint'))
+    requests = {
+        domain.node.create_client(trigger.Trigger, f'/estimator/{name}'): trigger.Trigger.Request()
+        for name in ('save', 'reset')}
+    for client in requests:
+        domain.until(client.service_is_ready)
+    assert change(domain, 'deactivate')
+
+    cleanup = lifecycle.ChangeState.Request()
+    cleanup.transition.label = 'cleanup'
+    changing = domain.node.create_client(lifecycle.ChangeState, '/estimator/change_state')
+    domain.until(changing.service_is_ready)
+    changed = changing.call_async(cleanup)
+    for client, request in requests.items():
+        client.call_async(request)
+    domain.until(changed.done)
+
+    assert changed.result().success
+    assert state(domain) == 'unconfigured'
+    assert not [*tmp_path.iterdir()]
 
 
 def test_cleanup_discards_the_estimate_and_starts_a_new_run(domain, tmp_path):

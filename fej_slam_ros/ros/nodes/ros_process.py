@@ -26,6 +26,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
 from rclpy.utilities import try_shutdown
@@ -184,6 +185,14 @@ class ParameterNode(CheckedClockNode):
         for service in self.services:
             if service.srv_type in {SetParameters, SetParametersAtomically}:
                 service.callback = partial(self._answer, service.callback)
+
+    def destroy_service(self, service: Service) -> bool:
+        """Destroy a service; requests to it that wait for the executor are dropped."""
+        # The executor would still call it, and its answer end the node.
+        vars(service).update(
+            callback=lambda _request, response: response,
+            send_response=lambda _response, _header: None)
+        return bool(super().destroy_service(service))
 
     def _answer(self, set_all: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         """Set the parameters of a request, or refuse all if rclpy would end or block the node."""
