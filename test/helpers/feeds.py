@@ -47,12 +47,15 @@ class Feed:
         """Send nothing more, without a publisher."""
         self._node.destroy_timer(self._timer)
         self._node.destroy_publisher(self._publisher)
+        self._publisher = None
 
     def _message(self):
         return raw_record(self.record(self._node.get_clock().now().nanoseconds / MS))
 
     def _send(self):
-        self._publisher.publish(self._message().raw)
+        # A timer that was due when it was destroyed is still called.
+        if self._publisher is not None:
+            self._publisher.publish(self._message().raw)
 
 
 def standing(robot):
