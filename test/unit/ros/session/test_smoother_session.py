@@ -12,8 +12,8 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import decoded, incoming
 from fej_slam_ros.ros.messages.common import from_quaternion, from_time
-from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session import smoother_session
+from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session.outputs import MAX_PATH
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
