@@ -4,12 +4,13 @@
 
 from argparse import ArgumentParser
 from collections.abc import Callable, Mapping
+from importlib.util import find_spec
 import math
 import os
 from pathlib import Path
 
 from fej_slam_ros.core.parameter_kinds import Parameter
-from fej_slam_ros.errors import UsageError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 
 
@@ -32,6 +33,13 @@ def output_folder(word: str) -> Path:
     if not word:
         raise UsageError('--output is empty: give a folder, or . for the current one')
     return Path(word)
+
+
+def require_matplotlib(alternative: str = '') -> None:
+    """Raise UserError if figures cannot be drawn, with the option by which none are."""
+    if find_spec('matplotlib') is None:
+        cure = "pip install '.[plot]'" + (f', or {alternative}' if alternative else '')
+        raise UserError(f'matplotlib is missing: {cure}')
 
 
 def parameter_help(parameters: Mapping[str, Parameter]) -> str:

@@ -34,7 +34,7 @@ from fej_slam_ros.benchmark.smoother_peers import growth_times
 from fej_slam_ros.benchmark.soak import soak, SoakMinute
 from fej_slam_ros.benchmark.step_speed import SIZES, step_time, TIMED_STEPS
 from fej_slam_ros.benchmark.tables import report
-from fej_slam_ros.cli.arguments import integer_option, processors
+from fej_slam_ros.cli.arguments import integer_option, processors, require_matplotlib
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.victoria_park import associated_log
 from fej_slam_ros.errors import UserError
@@ -89,8 +89,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure all parts, then print and write the results."""
-    if arguments.picture and find_spec('matplotlib') is None:
-        raise UserError("matplotlib is missing: pip install '.[plot]', or leave out --picture")
+    if arguments.picture:
+        require_matplotlib('leave out --picture')
     with claimed(arguments.output, arguments.force), claimed(arguments.picture, arguments.force):
         return _benchmark(arguments)
 

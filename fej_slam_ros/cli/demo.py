@@ -13,17 +13,15 @@ Uses its own ROS domain on this machine only.
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass
-from importlib.util import find_spec
 import json
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 from fej_slam_ros.atomic_files import refuse_existing, write_bytes, write_figure, write_json
-from fej_slam_ros.cli.arguments import output_folder
+from fej_slam_ros.cli.arguments import output_folder, require_matplotlib
 from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.run_table import run_table
-from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.session import simulation
@@ -83,8 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     name = '' if arguments.sensor == 'landmarks' else f'_{arguments.sensor}'
     output: Path = arguments.output or Path(f'demo{name}_output')
-    if find_spec('matplotlib') is None:
-        raise UserError("matplotlib is missing: pip install '.[plot]'")
+    require_matplotlib()
     with OutputLock.of_folder(output):
         refuse_existing([output / PICTURE, output / 'summary.json'], arguments.force)
         _run(SENSORS[arguments.sensor], output)

@@ -20,7 +20,6 @@ Output: evaluation.json; for evo <robot>.tum and <robot>_truth.tum, the compared
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +27,7 @@ import numpy as np
 
 from fej_slam_ros.atomic_files import (
     refuse_existing, write_csv, write_figure, write_json, write_text)
-from fej_slam_ros.cli.arguments import number_option, output_folder
+from fej_slam_ros.cli.arguments import number_option, output_folder, require_matplotlib
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.errors import UserError
@@ -88,8 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
     if not path.exists():
         raise UserError(
             f'{path} does not exist: give the output of replay or smooth, or a rosbag2')
-    if arguments.plots and find_spec('matplotlib') is None:
-        raise UserError("matplotlib is missing: pip install '.[plot]', or give --no-plots")
+    if arguments.plots:
+        require_matplotlib('give --no-plots')
     is_bag = run_results.is_bag(path)
     output: Path = arguments.output or (
         Path(f'{path.resolve()}_evaluation') if is_bag else path / 'evaluation')

@@ -198,7 +198,7 @@ def test_figures_are_drawn(replayed, evaluate, tmp_path):
 
 
 def test_missing_matplotlib_is_reported_with_a_cure(replayed, evaluate):
-    with mock.patch('fej_slam_ros.cli.evaluate.find_spec', return_value=None):
+    with mock.patch('fej_slam_ros.cli.arguments.find_spec', return_value=None):
         status, _, printed = evaluate(replayed / 'two_circles')
         without_plots, *_ = evaluate(replayed / 'two_circles', '--no-plots')
 
