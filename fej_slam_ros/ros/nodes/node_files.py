@@ -82,6 +82,12 @@ class NodeFiles:
         return nullcontext(self._exchange)
 
     @property
+    def _writers(self) -> dict[str, CheckpointWriter | LiveExchangeFile]:
+        """Return what writes the files other than those of the output, by parameter."""
+        found = {'checkpoint': self._checkpoint, 'exchange_file': self._exchange}
+        return {name: writer for name, writer in found.items() if writer is not None}
+
+    @property
     def is_saving(self) -> bool:
         """Return whether a checkpoint is being written."""
         return self._checkpoint is not None and self._checkpoint.is_busy
@@ -140,12 +146,10 @@ class NodeFiles:
         output = [files.wait(0.0) for files in self._ended]
         if self._run is not None:
             output.append(self._run.error)
-        saving = [self._checkpoint.error] if self._checkpoint is not None else []
-        exchange = [self._exchange.error] if self._exchange is not None else []
+        of_writers = {name: [writer.error] for name, writer in self._writers.items()}
         found = {
             name: '; '.join(filter(None, dict.fromkeys([*errors, self._notes.get(name)])))
-            for name, errors in (
-                ('output', output), ('checkpoint', saving), ('exchange_file', exchange))}
+            for name, errors in {'output': output, 'checkpoint': [], **of_writers}.items()}
         return {name: error for name, error in found.items() if error}
 
     def check(self) -> dict[str, str]:
@@ -168,9 +172,7 @@ class NodeFiles:
             files.wait(max(0.0, deadline - monotonic()))
         waited = {
             name: writer.wait(max(0.0, deadline - monotonic()))
-            for name, writer in (
-                ('checkpoint', self._checkpoint), ('exchange_file', self._exchange))
-            if writer is not None}
+            for name, writer in self._writers.items()}
         errors = {name: error for name, error in (waited | self.errors()).items() if error}
         self.has_failed |= bool(errors)
         for error in errors.values():

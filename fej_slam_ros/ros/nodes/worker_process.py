@@ -35,7 +35,7 @@ MAX_FAILURES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FailedTask:
-    """What takes the place of the result of a task that is given up."""
+    """Result of a task that is given up."""
 
     reason: str  #: the exception that it raises
     argument: Any = None  #: of the function

@@ -7,8 +7,8 @@ from fej_slam_ros.ros.parameters.changes import (
     with_values)
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
 from fej_slam_ros.ros.parameters.parsing import (
-    changed_peers, changed_team, checked_values, known_values, PARAMETERS_OF_ROS, parse,
-    RENAMED_PARAMETERS, RESERVED_NAMES, robot_names, STRICT_PARAMETERS, Warn, warn_once)
+    changed_peers, changed_team, given_values, PARAMETERS_OF_ROS, parse, RENAMED_PARAMETERS,
+    RESERVED_NAMES, robot_names, STRICT_PARAMETERS, Warn, warn_once)
 from fej_slam_ros.ros.parameters.schema import (
     as_parameters, Audience, deciding, declared_parameters, ESTIMATOR, known_parameters,
     QOS_OVERRIDES, QOS_POLICIES, SMOOTHER, Value)
@@ -19,7 +19,7 @@ __all__ = [
     'ESTIMATOR', 'PARAMETERS_OF_ROS', 'QOS_OVERRIDES', 'QOS_POLICIES', 'RENAMED_PARAMETERS',
     'RESERVED_NAMES', 'SMOOTHER', 'STRICT_PARAMETERS', 'Audience', 'CommonNodeSettings',
     'NodeSettings', 'ParameterChange', 'RunSettings', 'Value', 'Warn', 'as_parameters',
-    'changeable_parameters', 'changed_peers', 'changed_team', 'checked_changes', 'checked_values',
-    'deciding', 'declared_parameters', 'dump', 'dump_values', 'known_parameters', 'known_values',
-    'load', 'load_parsed', 'load_values', 'parse', 'rejection', 'robot_names', 'warn_once',
+    'changeable_parameters', 'changed_peers', 'changed_team', 'checked_changes', 'deciding',
+    'declared_parameters', 'dump', 'dump_values', 'given_values', 'known_parameters', 'load',
+    'load_parsed', 'load_values', 'parse', 'rejection', 'robot_names', 'warn_once',
     'with_node_values', 'with_values']

@@ -14,8 +14,7 @@ from fej_slam_ros.core.parameter_kinds import (
 from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
-from fej_slam_ros.ros.parameters.parsing import (
-    checked_values, known_values, robot_names, Warn, warn_of_degrees, warn_once)
+from fej_slam_ros.ros.parameters.parsing import given_values, robot_names, Warn, warn_once
 from fej_slam_ros.ros.parameters.schema import Value
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed
 
@@ -106,8 +105,7 @@ def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> Adapt
     """Return the settings that flat ROS parameters give."""
     robots = robot_names(values.get('robots', []))
     known = known_parameters(robots)
-    checked = checked_values(known_values(values, known, warn, robots), known)
-    warn_of_degrees(checked, known, warn)
+    checked = given_values(values, known, warn, robots)
     of_robots: dict[str, dict[str, Any]] = {robot: {} for robot in robots}
     for name in [name for name in checked if '.' in name]:
         robot, _, field = name.partition('.')

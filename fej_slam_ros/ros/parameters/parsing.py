@@ -54,10 +54,8 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     values = with_current_names(values, warn)
     robots = _team(values)
     known = known_parameters(robots)
-    checked = checked_values(known_values(values, known, warn, robots), known)
-    warn_of_degrees(checked, known, warn)
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
-    for name, value in checked.items():
+    for name, value in given_values(values, known, warn, robots).items():
         owner, _, field = name.rpartition('.')
         given[owner][field] = value
     of_node = given[''].keys() & parameters_of(NodeSettings)
@@ -98,6 +96,21 @@ def with_current_names(values: Mapping[str, object], warn: Warn) -> dict[str, ob
     return current
 
 
+def given_values(
+    values: Mapping[str, object], known: Mapping[str, Parameter], warn: Warn,
+    robots: Sequence[str] = (),
+) -> dict[str, Any]:
+    """
+    Return flat ROS parameters of known names as settings store them.
+
+    Unknown names are those of `known_values`; angles that exceed a turn are warnings.
+
+    """
+    checked = checked_values(known_values(values, known, warn, robots), known)
+    _warn_of_degrees(checked, known, warn)
+    return checked
+
+
 def known_values(
     values: Mapping[str, object], known: Mapping[str, Parameter], warn: Warn,
     robots: Sequence[str] = (),
@@ -134,7 +147,7 @@ def checked_values(
         for name, value in values.items() if name in known}
 
 
-def warn_of_degrees(
+def _warn_of_degrees(
     values: Mapping[str, Any], known: Mapping[str, Parameter], warn: Warn
 ) -> None:
     """Warn of angles in checked values that exceed a turn: they are probably in degrees."""

@@ -15,9 +15,8 @@ from fej_slam_ros.core.parameter_kinds import (
 from fej_slam_ros.detection.records import AnyRecord
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
-    checked_values, CommonNodeSettings, known_values, load_parsed, robot_names, STRICT_PARAMETERS,
-    Value, Warn, warn_once)
-from fej_slam_ros.ros.parameters.parsing import warn_of_degrees
+    CommonNodeSettings, given_values, load_parsed, robot_names, STRICT_PARAMETERS, Value, Warn,
+    warn_once)
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS, AnyEnvironment
 from fej_slam_ros.sim.world import World
 
@@ -138,9 +137,7 @@ class Simulation:
 
 def parse(values: Mapping[str, object], warn: Warn = warn_once) -> Simulation:
     """Return the simulation for flat ROS parameters; a wrong one raises UsageError."""
-    checked = checked_values(known_values(values, PARAMETERS, warn), PARAMETERS)
-    warn_of_degrees(checked, PARAMETERS, warn)
-    given = checked | {'first_stamp': FIRST_STAMP}
+    given = given_values(values, PARAMETERS, warn) | {'first_stamp': FIRST_STAMP}
     name = given.pop('environment', 'circles')
     environment = ALL_ENVIRONMENTS[name]
     robot_names(given.get('robots', environment.world.robots))
