@@ -50,8 +50,7 @@ def perpendicular(vectors: Array) -> Array:
     """
     Return J v for each vector v of a (..., 2) array.
 
-    J = [[0, -1], [1, 0]] generates planar rotations: d C(phi) / d phi = J C(phi), eq. (6) of
-    [Liu].
+    J = [[0, -1], [1, 0]] of eq. (5) of [Liu] generates rotations: d C(phi) / d phi = J C(phi).
 
     """
     turned = np.empty_like(vectors)

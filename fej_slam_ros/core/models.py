@@ -35,7 +35,7 @@ def G(phi: float) -> Array:
 
 
 def composed_increment(u: Array, Q: Array, v: Array, R: Array) -> tuple[Array, Array]:
-    """Return u (3,) followed by v (3,) as one increment, and its covariance by eqs. (3) to (6)."""
+    """Return u (3,) followed by v (3,) as one increment, and its covariance by eqs. (4) to (6)."""
     C = G(u[2])
     Phi_v = Phi(C[:2, :2] @ v[:2])
     return f(u, v), Phi_v @ Q @ Phi_v.T + C @ R @ C.T

@@ -30,7 +30,7 @@ class PosePredictor:
     """
     Predicts the pose of one robot at its newest odometry.
 
-    The mean is the settled pose composed with the odometry since. The covariance follows eqs. (3)
+    The mean is the settled pose composed with the odometry since. The covariance follows eqs. (4)
     to (6) of [Liu] along the increments, as if the filter predicted over each of them in turn.
 
     """

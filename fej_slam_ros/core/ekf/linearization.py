@@ -145,15 +145,15 @@ class FirstEstimates(Linearization):
     """
     FEJ: every Jacobian at first estimates, eqs. (23), (24), so that rank(M) = 3N + 2n - 3.
 
-    The displacement of Phi is x_{k+1|k} - x_{k|k-1}, eq. (23): a product of Phi is the Phi of
-    the sum. H is evaluated at first estimates, eq. (24), also for the observed robot of a
-    robot-to-robot observation: the product of its Phi maps a rotation of the whole state to
-    J p_{k|k-1}, which is in the null space only of H at p_{k|k-1}.
+    The displacement of Phi is x_{k+1|k} - x_{k|k-1}: a product of Phi is the Phi of the sum, so
+    that no correction is left of the sum in eq. (16). H is evaluated at first estimates also for
+    the observed robot of a robot-to-robot observation: the product of its Phi maps a rotation of
+    the whole state to J p_{k|k-1}, which is in the null space only of H at p_{k|k-1}.
 
     """
 
     def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
-        """Return the first estimates, eq. (24)."""
+        """Return the first estimates, eqs. (23) and (24)."""
         return state.x_first.take(variables.columns)
 
     def initialization_points(
