@@ -13,9 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from fej_slam_ros.core.ekf.state import JointState, POSITION, RendezvousPoint, Robot, Variable
+from fej_slam_ros.core.ekf.state import (
+    JointState, POSITION, position_indices, RendezvousPoint, Robot, Variable)
 from fej_slam_ros.core.geometry import (
-    Array, compose, Indices, inverse, perpendicular, poses_plus, rigid_fit, transform, wrap_all)
+    Array, compose, inverse, perpendicular, poses_plus, rigid_fit, transform, wrap_all)
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
 #: The iteration ends with a step below this [m, rad].
@@ -27,6 +28,60 @@ MIN_RELATIVE_SPREAD = 1e-6
 
 Variables = Sequence[Variable]
 POSE_SIZE = 3
+
+
+class StackedVariables:
+    """
+    Variables of a frame, stacked in one vector x (n,), and the motion g o x of all of them.
+
+    Attributes
+    ----------
+    variables : the variables in their order
+    indices : (n,) array, the states of x in the joint state of the frame
+
+    """
+
+    def __init__(self, variables: Variables) -> None:
+        self.variables = variables
+        self.indices = np.concatenate([
+            np.empty(0, np.intp), *(variable.slot.indices for variable in variables)])
+        sizes = np.array([variable.slot.size for variable in variables], np.intp)
+        starts = np.cumsum(sizes) - sizes
+        # Where in x the positions (k, 2) and the headings are.
+        self._positions = starts[:, None] + POSITION
+        self._headings = starts[sizes == POSE_SIZE] + 2
+
+    def carried(self, g: Array, x: Array) -> Array:
+        """Return g o x."""
+        moved = x.copy()
+        moved[self._positions] = transform(g, x[self._positions])
+        moved[self._headings] = wrap_all(x[self._headings] + g[2])
+        return moved
+
+    def turned(self, g: Array, rows: Array) -> Array:
+        """Return C rows (n, m), where C is the Jacobian of g o x by x."""
+        (x, y), c, s = self._positions.T, np.cos(g[2]), np.sin(g[2])
+        product = rows.copy()
+        product[x], product[y] = c * rows[x] - s * rows[y], s * rows[x] + c * rows[y]
+        return product
+
+    def turned_covariance(self, g: Array, P: Array) -> Array:
+        """Return C P C^T of a covariance P (n, n) of x."""
+        return self.turned(g, self.turned(g, P).T)
+
+    def derivative(self, g: Array, at: Array) -> Array:
+        """Return the Jacobian (n, 3) of g o x by g, linearised at g o x = `at`."""
+        x, y = self._positions.T
+        D = np.zeros((len(at), 3))
+        D[x, 0] = D[y, 1] = D[self._headings, 2] = 1.0
+        D[self._positions, 2] = perpendicular(at[self._positions] - g[:2])
+        return D
+
+    def difference(self, a: Array, b: Array) -> Array:
+        """Return a - b, headings wrapped."""
+        r = a - b
+        r[self._headings] = wrap_all(r[self._headings])
+        return r
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,7 +135,7 @@ def determine_heading(
     _, theirs = shared_variables(team, group, left_out)
     if any(isinstance(variable, Robot) for variable in theirs):
         return True
-    points = group.estimates_of(indices(theirs)).reshape(-1, 2)
+    points = group.estimates_of(position_indices(theirs))
     return bool(np.ptp(points, axis=0).max() > MIN_RELATIVE_SPREAD * np.abs(points).max())
 
 
@@ -95,22 +150,23 @@ def fit(
     between poses that fit equally badly; then the last pose is returned.
 
     """
-    ours, theirs = shared_variables(team, group, left_out)
-    x_T, P_T = team.estimates_of(indices(ours)), team.marginal(ours)
-    x_L, P_L = group.estimates_of(indices(theirs)), group.marginal(theirs)
-    g = _closed_form(x_T, x_L, ours)
+    ours, theirs = map(StackedVariables, shared_variables(team, group, left_out))
+    x_T, P_T = team.estimates_of(ours.indices), team.marginal(ours.variables)
+    x_L, P_L = group.estimates_of(theirs.indices), group.marginal(theirs.variables)
+    g = _closed_form(x_T, x_L, ours.variables)
     for _ in range(MAX_FIT_ITERATIONS):
-        x_carried = carried(g, x_L, ours)
-        D = derivative(g, x_carried, ours)
-        r = difference(x_T, x_carried, ours)
-        S_factor = cho_factor(P_T + turned(g, turned(g, P_L, ours).T, ours), lower=True)
+        x_carried = ours.carried(g, x_L)
+        D = ours.derivative(g, x_carried)
+        r = ours.difference(x_T, x_carried)
+        S_factor = cho_factor(P_T + ours.turned_covariance(g, P_L), lower=True)
         information = D.T @ cho_solve(S_factor, D)
         dg = np.linalg.solve(information, D.T @ cho_solve(S_factor, r))
         g = poses_plus(g[None], dg)[0]
         if np.abs(dg).max() < FIT_TOLERANCE:
             break
     P = cho_solve(cho_factor(information), np.eye(3))
-    return FrameFit(g, P, float(r @ cho_solve(S_factor, r)), len(r) - 3, ours, r, S_factor, D)
+    return FrameFit(
+        g, P, float(r @ cho_solve(S_factor, r)), len(r) - 3, ours.variables, r, S_factor, D)
 
 
 def _closed_form(x_T: Array, x_L: Array, shared: Variables) -> Array:
@@ -118,48 +174,3 @@ def _closed_form(x_T: Array, x_L: Array, shared: Variables) -> Array:
     if isinstance(shared[0], Robot):
         return compose(x_T[:3], inverse(x_L[:3]))
     return rigid_fit(x_L.reshape(-1, 2), x_T.reshape(-1, 2))
-
-
-def carried(g: Array, x: Array, variables: Variables) -> Array:
-    """Return g o x of stacked variables."""
-    positions, headings = _layout(variables)
-    moved = x.copy()
-    moved[positions] = transform(g, x[positions])
-    moved[headings] = wrap_all(x[headings] + g[2])
-    return moved
-
-
-def turned(g: Array, rows: Array, variables: Variables) -> Array:
-    """Return C rows, where C is the Jacobian of g o x by the stacked variables x."""
-    (x, y), c, s = _layout(variables)[0].T, np.cos(g[2]), np.sin(g[2])
-    product = rows.copy()
-    product[x], product[y] = c * rows[x] - s * rows[y], s * rows[x] + c * rows[y]
-    return product
-
-
-def derivative(g: Array, at: Array, variables: Variables) -> Array:
-    """Return the Jacobian of g o x by g, linearised at g o x = `at`."""
-    positions, headings = _layout(variables)
-    D = np.zeros((len(at), 3))
-    D[positions[:, 0], 0] = D[positions[:, 1], 1] = D[headings, 2] = 1.0
-    D[positions, 2] = perpendicular(at[positions] - g[:2])
-    return D
-
-
-def difference(a: Array, b: Array, variables: Variables) -> Array:
-    """Return a - b of stacked variables, headings wrapped."""
-    (_, headings), r = _layout(variables), a - b
-    r[headings] = wrap_all(r[headings])
-    return r
-
-
-def _layout(variables: Variables) -> tuple[Indices, Indices]:
-    """Return the indices of the positions (k, 2) and of the headings of stacked variables."""
-    sizes = np.array([variable.slot.size for variable in variables], np.intp)
-    starts = np.cumsum(sizes) - sizes
-    return starts[:, None] + POSITION, starts[sizes == POSE_SIZE] + 2
-
-
-def indices(variables: Variables) -> Indices:
-    """Return the indices of the states of variables, stacked."""
-    return np.concatenate([np.empty(0, np.intp), *(v.slot.indices for v in variables)])

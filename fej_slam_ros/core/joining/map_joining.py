@@ -26,8 +26,7 @@ from fej_slam_ros.core.geometry import Array, poses_plus, wrap_all
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
-    carried, derivative, determine_heading, difference, fit, FrameFit, indices, shared_variables,
-    turned, Variables)
+    determine_heading, fit, FrameFit, shared_variables, StackedVariables, Variables)
 from fej_slam_ros.core.joining.outlying_landmarks import (
     outlying_landmarks, single_observation_failure)
 from fej_slam_ros.core.joining.rendezvous_points import marginalize
@@ -189,37 +188,37 @@ def joined_state(
     Neither state is changed.
 
     """
-    ours, theirs = shared_variables(team, group)
-    new = [variable for variable in group.variables() if variable not in theirs]
-    first = carried(g, group.estimates_of(indices(new)), new)
-    at, new_at = linearization.joining_points(team, ours, new, first)
+    ours, theirs = map(StackedVariables, shared_variables(team, group))
+    new = StackedVariables([v for v in group.variables() if v not in theirs.variables])
+    first = new.carried(g, group.estimates_of(new.indices))
+    at, new_at = linearization.joining_points(team, ours.variables, new.variables, first)
     n = len(team.x_hat)
     # The conditions are A dz - D dg = r, for z = [x_T, x_L] and A = [E_T, -C E_L], where E_T and
     # E_L select the shared variables and C turns them.
-    x_carried = carried(g, group.estimates_of(indices(theirs)), ours)
-    r = difference(x_carried, team.estimates_of(indices(ours)), ours)
+    x_carried = ours.carried(g, group.estimates_of(theirs.indices))
+    r = ours.difference(x_carried, team.estimates_of(ours.indices))
     P_T, P_L = team.marginal(team.variables()), group.marginal(group.variables())
     pause()
-    P_LL = P_L[np.ix_(indices(theirs), indices(theirs))]
-    APA = P_T[np.ix_(indices(ours), indices(ours))] + turned(g, turned(g, P_LL, ours).T, ours)
-    AP = np.hstack([P_T[indices(ours)], -turned(g, P_L[indices(theirs)], ours)])
-    D = derivative(g, at, ours)
+    P_LL = P_L[np.ix_(theirs.indices, theirs.indices)]
+    APA = P_T[np.ix_(ours.indices, ours.indices)] + ours.turned_covariance(g, P_LL)
+    AP = np.hstack([P_T[ours.indices], -ours.turned(g, P_L[theirs.indices])])
+    D = ours.derivative(g, at)
     P = block_diag(P_T, P_L)
     del P_T, P_L  # 200 MB for 2,500 landmarks
     dz, dg, P_z, P_gz, P_g = _conditioned(P, AP, APA, D, r)
     pause()
 
     # New variables are C x + D g of those of the group and of g.
-    in_z, D = n + indices(new), derivative(g, new_at, new)
-    P_new = turned(g, P_z[in_z], new) + D @ P_gz
-    P_new_g = turned(g, P_gz[:, in_z].T, new) + D @ P_g
-    own = turned(g, P_new[:, in_z].T, new) + D @ P_new_g.T
-    x_new = (group.estimates() + dz[n:])[indices(new)]
+    in_z, D = n + new.indices, new.derivative(g, new_at)
+    P_new = new.turned(g, P_z[in_z]) + D @ P_gz
+    P_new_g = new.turned(g, P_gz[:, in_z].T) + D @ P_g
+    own = new.turned(g, P_new[:, in_z].T) + D @ P_new_g.T
+    x_new = (group.estimates() + dz[n:])[new.indices]
     g = poses_plus(g[None], dg)[0]
-    x_hat = np.concatenate([team.estimates() + dz[:n], carried(g, x_new, new)])
+    x_hat = np.concatenate([team.estimates() + dz[:n], new.carried(g, x_new)])
     x_first = np.concatenate([team.x_first, first])
     pause()
-    state = _combined(team, new, x_hat, x_first, np.block([
+    state = _combined(team, new.variables, x_hat, x_first, np.block([
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
     transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
     # The rendezvous points of the two frames are no longer needed.

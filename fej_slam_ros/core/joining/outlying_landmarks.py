@@ -13,11 +13,10 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import chdtri
 
-from fej_slam_ros.core.ekf.state import JointState, Landmark
+from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import (
-    carried, derivative, determine_heading, difference, fit, FrameFit, indices, shared_variables,
-    turned)
+    determine_heading, fit, FrameFit, shared_variables, StackedVariables)
 from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 
@@ -40,7 +39,7 @@ def outlying_landmarks(
     """
     ours, theirs = ([v for v in variables if isinstance(v, Landmark)]
                     for variables in shared_variables(team, group))
-    points = (state.estimates_of(indices(landmarks)).reshape(-1, 2)
+    points = (state.estimates_of(position_indices(landmarks))
               for state, landmarks in ((team, ours), (group, theirs)))
     farthest = farthest_points(*points)
     candidates = frozenset(ours[k].key for k in farthest)
@@ -65,14 +64,14 @@ def _increases_of_chi2(
     fit predict: all landmarks of a map share the errors of its robots.
 
     """
-    ours, theirs = shared_variables(team, group, left_out)
-    ours += [team.landmarks[key] for key in left_out]
-    theirs += [group.landmarks[key] for key in left_out]
-    at = carried(found.pose, group.estimates_of(indices(theirs)), ours)
-    D = derivative(found.pose, at, ours)
-    S = team.marginal(ours) + turned(
-        found.pose, turned(found.pose, group.marginal(theirs), ours).T, ours)
-    r = difference(team.estimates_of(indices(ours)), at, ours)
+    ours, theirs = (
+        StackedVariables([*shared, *(state.landmarks[key] for key in left_out)])
+        for state, shared in zip((team, group), shared_variables(team, group, left_out)))
+    g = found.pose
+    at = ours.carried(g, group.estimates_of(theirs.indices))
+    D = ours.derivative(g, at)
+    S = team.marginal(ours.variables) + ours.turned_covariance(g, group.marginal(theirs.variables))
+    r = ours.difference(team.estimates_of(ours.indices), at)
     of_fit, rest = slice(len(found.r)), slice(len(found.r), None)
     K = cho_solve(found.S_factor, S[of_fit, rest]).T
     e, D_e = r[rest] - K @ found.r, D[rest] - K @ found.D
