@@ -4,9 +4,9 @@
 
 import numpy as np
 
-from fej_slam_ros.core.csam.map_merging import rendezvous_between
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
+from fej_slam_ros.core.csam.rendezvous_alignment import rendezvous_between
 from fej_slam_ros.core.geometry import compose, transform
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother

@@ -7,8 +7,9 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.base_node import align
-from fej_slam_ros.core.csam.map_merging import alignment_window, join_maps
+from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.csam.rendezvous_alignment import alignment_window
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.experiments.andersson import experiment
 from helpers.csam import in_another_frame, rendezvous_of

@@ -10,35 +10,26 @@ Joined robots then act as one map, so that any number of robots can be joined.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.csam.agreement import largest_agreement, MAX_COMPARED
-from fej_slam_ros.core.csam.base_node import (
-    align, BaseNode, central, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.loop_closing import close_loops, with_measurements
 from fej_slam_ros.core.csam.maps import JointMap, merged
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_landmarks
 from fej_slam_ros.core.csam.rendezvous import (
-    Failed, Measurements, MIN_PER_OUTLIER, outlier_report, Rendezvous, rendezvous_of,
-    RendezvousMeasurement, RobotPair)
+    Failed, Measurements, outlier_report, Rendezvous, rendezvous_of, RendezvousMeasurement,
+    RobotPair)
+from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.csam.shared_landmarks import (
     align_by_landmarks, contradicting_landmarks, LandmarkAlignment, variance_factor)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
-from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.core.smoothing.marginals import Information
-
-#: Returns the information of a map about some of its poses (k,).
-InformationOf = Callable[[JointMap, Indices], RendezvousInformation]
-#: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
-ALIGNMENT_WINDOW = 50
 
 
 class JoinedMaps(NamedTuple):
@@ -76,29 +67,6 @@ def join_maps(
         merger.landmark_outliers)
 
 
-def alignment_window(measurements: Measurements) -> Measurements:
-    """Return the observations in the middle of a rendezvous that align the maps."""
-    return measurements[central(len(measurements), ALIGNMENT_WINDOW)]
-
-
-def rendezvous_between(
-    p: JointMap, q: JointMap, measurements: Measurements,
-    information: InformationOf = JointMap.rendezvous_information,
-) -> tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]:
-    """Return the input of Algorithm 1 for two maps, with the information of each about poses."""
-    ends = [((m.observer, m.pose), (m.observed, m.observed_pose)) for m in measurements]
-    (poses_p, rows_p), (poses_q, rows_q) = (
-        np.unique(np.array([
-            group.first_poses[robot] + pose for pair in ends for robot, pose in pair
-            if robot in group.robots], np.intp), return_inverse=True)
-        for group in (p, q))
-    by_p = np.array([m.observer in p.robots for m in measurements], bool)
-    observations = RendezvousObservations(
-        rows_p, rows_q, by_p, np.array([m.z for m in measurements]).reshape(-1, 2),
-        np.array([m.R for m in measurements]).reshape(-1, 2, 2))
-    return information(p, poses_p), information(q, poses_q), observations
-
-
 class _MapMerger:
     """
     Groups of joined robots, each with one map.
@@ -117,12 +85,9 @@ class _MapMerger:
         self.groups = [*maps]
         self.outliers: list[JoinFailure] = []
         self.landmark_outliers: defaultdict[str, list[Outlier]] = defaultdict(list)
-        self._poses = {
-            end for m in measurements
-            for end in ((m.observer, m.pose), (m.observed, m.observed_pose))}
-        self._information: dict[JointMap, Information] = {}
         self._rules = replace(
             rules, variance_factor=variance_factor(self.groups, rules.min_shared))
+        self._aligner = RendezvousAligner(measurements, self._rules)
 
     def apply(self, attempted: Sequence[Rendezvous]) -> list[Failed]:
         """Apply rendezvous until no more of them succeed; return those that failed."""
@@ -146,7 +111,7 @@ class _MapMerger:
             own = [loop for loop in loops if loop[1] and loop[0][0] in group.robots]
             closed = close_loops(group, own, self._rules)
             if closed.joint is not group:
-                self._information.pop(group, None)
+                self._aligner.forget(group)
             self.groups[k] = closed.joint
             self.outliers += closed.outliers
             failed += closed.failed
@@ -166,7 +131,7 @@ class _MapMerger:
         is_by_landmarks = not isinstance(aligned, JoinFailure)
         if isinstance(aligned, JoinFailure):
             joined = aligned if not rendezvous[1] else (
-                self._contradiction(p, q, rendezvous, attempted)
+                self._aligner.contradiction(p, q, rendezvous, attempted)
                 or self._joined_by_rendezvous(p, q, rendezvous))
         else:
             joined = self._joined_by_landmarks(p, q, aligned)
@@ -175,7 +140,7 @@ class _MapMerger:
         self.groups = [joined if g is p else g for g in self.groups if g is not q]
         for part in (p, q):
             part.problem.forget_systems()
-            self._information.pop(part, None)
+            self._aligner.forget(part)
         if is_by_landmarks:
             loops.append(rendezvous)
         return None
@@ -211,37 +176,12 @@ class _MapMerger:
                 self.landmark_outliers[robot] += outliers
         return again
 
-    def _contradiction(
-        self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous]
-    ) -> JoinFailure | None:
-        """Return a failure if a rendezvous is not in the largest set of those that agree."""
-        compared: list[Rendezvous] = []
-        base_nodes: list[BaseNode] = []
-        for other in attempted:
-            # Whatever comes first, the rendezvous itself takes part.
-            if other is not rendezvous and (
-                    len(compared) - any(one is rendezvous for one in compared) >= MAX_COMPARED - 1
-                    or not other[1]
-                    or any(set(other[0]).isdisjoint(group.robots) for group in (p, q))):
-                continue
-            aligned = self._aligned(p, q, other[1])
-            if not isinstance(aligned, JoinFailure):
-                compared.append(other)
-                base_nodes.append(aligned[0])
-        agreeing = [compared[k] for k in largest_agreement(base_nodes, self._rules)]
-        # Of two that disagree either may be wrong; one that fails alone is reported by itself.
-        if len(compared) < 3 or not any(one is rendezvous for one in compared) or any(
-                one is rendezvous for one in agreeing):
-            return None
-        return JoinFailure(
-            f'inconsistent ({len(agreeing)} of {len(compared)} rendezvous agree, without it)')
-
     def _joined_by_rendezvous(
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous
     ) -> JointMap | JoinFailure:
         """Return the joined maps, leaving out a few outliers at most."""
         pair, measurements = rendezvous
-        aligned = self._aligned(p, q, measurements)
+        aligned = self._aligner.align(p, q, measurements)
         if isinstance(aligned, JoinFailure):
             return aligned
         base_node, kept = aligned
@@ -250,44 +190,6 @@ class _MapMerger:
             self.outliers.append(
                 outlier_report(pair, len(measurements) - len(kept), len(measurements)))
         return joined
-
-    def _aligned(
-        self, p: JointMap, q: JointMap, measurements: Measurements
-    ) -> tuple[BaseNode, Measurements] | JoinFailure:
-        """Return the base node of q in p, and the observations but for a few outliers."""
-        kept = measurements
-        while isinstance(base_node := self._base_node_of_rendezvous(
-                p, q, alignment_window(kept)), JoinFailure):
-            kept_before, outlier = kept, base_node.outlier
-            kept = [m for m in kept if m.key != outlier]
-            if len(kept) == len(kept_before) or (
-                    len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
-                return base_node
-        return base_node, kept
-
-    def _base_node_of_rendezvous(
-        self, p: JointMap, q: JointMap, window: Measurements
-    ) -> BaseNode | JoinFailure:
-        """Return that of q in p by Algorithm 1, if the observations fit the maps."""
-        aligned = align(*rendezvous_between(p, q, window, self._rendezvous_information))
-        if isinstance(aligned, JoinFailure):
-            return aligned
-        failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)
-        if failure is None:
-            return aligned.base_node
-        worst = int(np.argmax(aligned.d2))
-        if aligned.d2[worst] <= self._rules.limit(2):
-            return failure
-        return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
-
-    def _rendezvous_information(self, group: JointMap, poses: Indices) -> RendezvousInformation:
-        """Return the information of a map, which is factored once for all rendezvous poses."""
-        if group not in self._information:
-            kept = [
-                group.first_poses[robot] + pose for robot, pose in self._poses
-                if robot in group.robots]
-            self._information[group] = group.information([*group.problem.fixed_poses, *kept])
-        return group.rendezvous_information(poses, self._information[group])
 
     def _solve(
         self, joint: JointMap, parts: Sequence[JointMap], measurements: Measurements

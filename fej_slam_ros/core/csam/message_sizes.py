@@ -16,9 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.csam.map_merging import alignment_window
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, RendezvousMeasurement
+from fej_slam_ros.core.csam.rendezvous_alignment import alignment_window
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.smoothing.least_squares import concatenated
 from fej_slam_ros.core.smoothing.marginals import Information

@@ -1,0 +1,135 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Alignment of two maps by the rendezvous of their robots, Algorithm 1 of [Andersson]."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from fej_slam_ros.core.csam.agreement import largest_agreement, MAX_COMPARED
+from fej_slam_ros.core.csam.base_node import (
+    align, BaseNode, central, RendezvousInformation, RendezvousObservations)
+from fej_slam_ros.core.csam.join_rules import JoinRules
+from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.csam.rendezvous import Measurements, MIN_PER_OUTLIER, Rendezvous
+from fej_slam_ros.core.geometry import Indices
+from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.smoothing.marginals import Information
+
+#: Returns the information of a map about some of its poses (k,).
+InformationOf = Callable[[JointMap, Indices], RendezvousInformation]
+#: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
+ALIGNMENT_WINDOW = 50
+
+
+def alignment_window(measurements: Measurements) -> Measurements:
+    """Return the observations in the middle of a rendezvous that align the maps."""
+    return measurements[central(len(measurements), ALIGNMENT_WINDOW)]
+
+
+def rendezvous_between(
+    p: JointMap, q: JointMap, measurements: Measurements,
+    information: InformationOf = JointMap.rendezvous_information,
+) -> tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]:
+    """Return the input of Algorithm 1 for two maps, with the information of each about poses."""
+    ends = [((m.observer, m.pose), (m.observed, m.observed_pose)) for m in measurements]
+    (poses_p, rows_p), (poses_q, rows_q) = (
+        np.unique(np.array([
+            group.first_poses[robot] + pose for pair in ends for robot, pose in pair
+            if robot in group.robots], np.intp), return_inverse=True)
+        for group in (p, q))
+    by_p = np.array([m.observer in p.robots for m in measurements], bool)
+    observations = RendezvousObservations(
+        rows_p, rows_q, by_p, np.array([m.z for m in measurements]).reshape(-1, 2),
+        np.array([m.R for m in measurements]).reshape(-1, 2, 2))
+    return information(p, poses_p), information(q, poses_q), observations
+
+
+class RendezvousAligner:
+    """
+    Base nodes of maps by their rendezvous; each map is factored once for all of these.
+
+    Parameters
+    ----------
+    measurements : all robot-to-robot observations
+    rules : conditions for joining
+
+    """
+
+    def __init__(self, measurements: Measurements, rules: JoinRules) -> None:
+        self._rules = rules
+        self._poses = {
+            end for m in measurements
+            for end in ((m.observer, m.pose), (m.observed, m.observed_pose))}
+        self._information: dict[JointMap, Information] = {}
+
+    def forget(self, group: JointMap) -> None:
+        """Free the memory of the factors of a map."""
+        self._information.pop(group, None)
+
+    def align(
+        self, p: JointMap, q: JointMap, measurements: Measurements
+    ) -> tuple[BaseNode, Measurements] | JoinFailure:
+        """Return the base node of q in p, and the observations but for a few outliers."""
+        kept = measurements
+        while isinstance(found := self._base_node(p, q, alignment_window(kept)), JoinFailure):
+            kept = [m for m in kept if m.key != found.outlier]
+            if found.outlier is None or (
+                    len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
+                return found
+        return found, kept
+
+    def contradiction(
+        self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous]
+    ) -> JoinFailure | None:
+        """Return a failure if a rendezvous is not in the largest set of those that agree."""
+        compared: list[Rendezvous] = []
+        base_nodes: list[BaseNode] = []
+        # Whatever comes first, the rendezvous itself takes part.
+        room = MAX_COMPARED - 1
+        for other in attempted:
+            if other is not rendezvous and not (room and _relates(other, p, q)):
+                continue
+            aligned = self.align(p, q, other[1])
+            if not isinstance(aligned, JoinFailure):
+                compared.append(other)
+                base_nodes.append(aligned[0])
+                room -= other is not rendezvous
+        agreeing = [compared[k] for k in largest_agreement(base_nodes, self._rules)]
+        # Of two that disagree either may be wrong; one that fails alone is reported by itself.
+        if len(compared) < 3 or rendezvous not in compared or rendezvous in agreeing:
+            return None
+        return JoinFailure(
+            f'inconsistent ({len(agreeing)} of {len(compared)} rendezvous agree, without it)')
+
+    def _base_node(
+        self, p: JointMap, q: JointMap, window: Measurements
+    ) -> BaseNode | JoinFailure:
+        """Return that of q in p by Algorithm 1, if the observations fit the maps."""
+        aligned = align(*rendezvous_between(p, q, window, self._information_of))
+        if isinstance(aligned, JoinFailure):
+            return aligned
+        failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)
+        if failure is None:
+            return aligned.base_node
+        worst = int(np.argmax(aligned.d2))
+        if aligned.d2[worst] <= self._rules.limit(2):
+            return failure
+        return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
+
+    def _information_of(self, group: JointMap, poses: Indices) -> RendezvousInformation:
+        """Return the information of a map, which is factored once for all rendezvous poses."""
+        if group not in self._information:
+            kept = [
+                group.first_poses[robot] + pose for robot, pose in self._poses
+                if robot in group.robots]
+            self._information[group] = group.information([*group.problem.fixed_poses, *kept])
+        return group.rendezvous_information(poses, self._information[group])
+
+
+def _relates(rendezvous: Rendezvous, p: JointMap, q: JointMap) -> bool:
+    """Return whether a rendezvous has observations between robots of two maps."""
+    pair, measurements = rendezvous
+    return bool(measurements) and not any(
+        set(pair).isdisjoint(group.robots) for group in (p, q))
