@@ -8,20 +8,18 @@ predicted poses, then one joint update with all observations of known landmarks 
 """
 
 from collections.abc import Iterable, Sequence
-from copy import copy
 from typing import NamedTuple
 
 import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
-from fej_slam_ros.core.ekf.block_update import (
-    is_divided, own_covariances, update_in_blocks)
 from fej_slam_ros.core.ekf.compressed_covariance import reserve
-from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
+from fej_slam_ros.core.ekf.covariance import SparseRows
 from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
     StatisticsByRobot)
+from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
@@ -144,7 +142,8 @@ class Filter:
         The residual r is always taken at the current estimate, the Jacobian H at the points of the
         policy. S = L L^T, and K appears in factored form, K = W L^-1. If the gate rejects or
         inflates any observation, the update starts again with the accepted ones; r and the prior
-        are unchanged, so these pass and the recursion ends.
+        are unchanged, so these pass and the recursion ends. Iterations correct the same prior,
+        whose covariance is updated once, by the last H.
 
         """
         if not observations:
@@ -157,46 +156,24 @@ class Filter:
 
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
         H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)
-        if is_divided(state.covariance, len(observations)):
-            return self._update_in_blocks(observations, stack, H, r)
-        prior = state.covariance.project(H, stack.R)             # 3. S = H P H^T + R
-        gated = self.gate.apply(observations, r, prior.own)       # 4. gate each by S_ii
+        update = joint_update(state.covariance, H, stack.R)      # 3. S = H P H^T + R
+        gated = self.gate.apply(observations, r, update.own())   # 4. gate each by S_ii
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
-        first = state.covariance.correction(prior, r.ravel())    # 5. K r, W = P H^T L^-T
-        x_prior, last = state.x_hat, first
+        x_prior, r, results = state.x_hat, r.ravel(), []
         for _ in range(self._iterations - 1):                    # Gauss-Newton: 1. to 5. again
-            last = self._relinearized(stack, x_prior, last.dx)
-        self._apply(x_prior, last)                               # 6. x, 7. P
-        self._note_used(observations)
-        return Innovation(observations, first.y, log_det=first.log_det)
-
-    def _update_in_blocks(
-        self, observations: Sequence[Association], stack: StackedObservations, H: SparseRows,
-        r: Array,
-    ) -> Innovation:
-        """Do the same for many observations, see `block_update`."""
-        state, policy = self.state, self.linearization
-        S = own_covariances(state.covariance, H, stack.R)
-        gated = self.gate.apply(observations, r, S)
-        if gated.rejected or gated.inflated:
-            return self.update(gated.accepted).after(gated)
-        x_prior, residual, updates = state.x_hat, r.ravel(), []
-        for _ in range(self._iterations - 1):
-            updates.append(update_in_blocks(copy(state.covariance), H, stack.R, residual))
-            if updates[-1].count < len(observations):
+            results.append(update.correction(r))
+            if results[-1].used < len(observations):
                 state.x_hat = x_prior
                 return NO_INNOVATION._replace(interrupted=observations)
-            state.x_hat = policy.retract(state, x_prior, updates[-1].dx)
-            H, residual = self._relinearize(stack, x_prior, updates[-1].dx)
-        updates.append(update_in_blocks(state.covariance, H, stack.R, residual))
-        state.x_hat = policy.retract(state, x_prior, updates[-1].dx)
-        transport_errors(policy, state, x_prior)
-        count = updates[-1].count
-        self._note_used(observations[:count])
+            update, r = self._relinearized(stack, x_prior, results[-1].dx)
+        results.append(update.apply(r))                          # 5. K r, 6. P <- P - K S K^T
+        self._correct(x_prior, results[-1].dx)                   # 7. x <- x + K r
+        used = results[-1].used
+        self._note_used(observations[:used])
         return Innovation(
-            observations[:count], updates[0].y[:2 * count], log_det=updates[0].log_det,
-            interrupted=observations[count:])
+            observations[:used], results[0].y[:2 * used], log_det=results[0].log_det,
+            interrupted=observations[used:])
 
     def _note_used(self, observations: Sequence[Association]) -> None:
         """Note which robots an update has observed, or used observations of."""
@@ -206,34 +183,30 @@ class Filter:
                 observed.turn_variance = 0.0
         self.linearization.note_used(self.state, observations)
 
-    def _apply(self, x_prior: Array, correction: Correction) -> None:
-        """Correct the prior estimate and its covariance."""
+    def _correct(self, x_prior: Array, dx: Array) -> None:
+        """Correct the prior estimate by dx (n,), whose covariance has been updated."""
         state, policy = self.state, self.linearization
-        state.x_hat = policy.retract(state, x_prior, correction.dx)  # 6. x <- x + K r
-        state.covariance.condition(correction)                       # 7. P <- P - W W^T
-        transport_errors(policy, state, x_prior)                     # of invariant errors only
+        state.x_hat = policy.retract(state, x_prior, dx)
+        transport_errors(policy, state, x_prior)
 
-    def _relinearized(self, stack: StackedObservations, x_prior: Array, dx: Array) -> Correction:
-        """
-        Return the correction of the prior by observations linearised at the prior corrected by dx.
-
-        An error e of the prior is A e at the corrected estimate: its Jacobian is H A. The
-        correction is one of the prior, whose covariance is conditioned once, by the last H.
-
-        """
-        self.state.x_hat = self.linearization.retract(self.state, x_prior, dx)
-        H, r = self._relinearize(stack, x_prior, dx)
-        return self.state.covariance.correction(self.state.covariance.project(H, stack.R), r)
-
-    def _relinearize(
+    def _relinearized(
         self, stack: StackedObservations, x_prior: Array, dx: Array
-    ) -> tuple[SparseRows, Array]:
-        """Return H A and the residual (2 m,) of the prior, at the prior corrected by dx."""
+    ) -> tuple[JointUpdate, Array]:
+        """
+        Return the update of the prior by observations linearised at the prior corrected by dx.
+
+        With it, their residuals r (2 m,) of the prior. An error e of the prior is A e at the
+        corrected estimate: its Jacobian is H A.
+
+        """
+        state, policy = self.state, self.linearization
+        state.x_hat = policy.retract(state, x_prior, dx)
         H = self._jacobian(stack)
-        A = self.linearization.transport(self.state, x_prior)
+        A = policy.transport(state, x_prior)
         if A is not None:
             H = H.after(A)
-        return H, self._residual(stack).ravel() + H.of(dx)
+        return (
+            joint_update(state.covariance, H, stack.R), self._residual(stack).ravel() + H.of(dx))
 
     def _residual(self, stack: StackedObservations) -> Array:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
@@ -300,9 +273,9 @@ class Filter:
         columns = position_indices([landmark, other]).reshape(1, 4)
         self.submap.ensure_contains(state, columns)
         H = SparseRows(columns, np.hstack([np.eye(2), -np.eye(2)])[None])
-        prior = state.covariance.project(H, MERGE_VARIANCE * np.eye(2)[None])
         difference = state.estimate(other) - state.estimate(landmark)
-        self._apply(state.x_hat, state.covariance.correction(prior, difference))
+        update = joint_update(state.covariance, H, MERGE_VARIANCE * np.eye(2)[None])
+        self._correct(state.x_hat, update.apply(difference).dx)
         state.remove(other)
 
     def landmark_key(self, robot: str, id_: int) -> LandmarkKey:

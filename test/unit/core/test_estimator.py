@@ -9,7 +9,7 @@ from math import pi
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ekf import block_update
+from fej_slam_ros.core.ekf import joint_update
 from fej_slam_ros.core.ekf.gating import ScanGateStatistics
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import MissingTruthError
@@ -603,7 +603,7 @@ def test_landmarks_that_an_ending_process_does_not_start_are_counted():
 
 def test_observations_that_an_ending_process_leaves_out_are_counted(monkeypatch):
     for name in ('MAX_JOINT_OBSERVATIONS', 'MAX_BLOCK_OBSERVATIONS', 'MIN_BLOCK_OBSERVATIONS'):
-        monkeypatch.setattr(block_update, name, 2)
+        monkeypatch.setattr(joint_update, name, 2)
     estimator = Estimator(team('r1'))
     for ms in (0, 100):
         estimator.add(odometry('r1', ms, (0.0, 0.0, 0.0)))

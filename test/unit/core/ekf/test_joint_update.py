@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.ekf import block_update
+from fej_slam_ros.core.ekf import joint_update
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.pieces import between_pieces
@@ -30,7 +30,7 @@ def known_map(kind, iterations, landmarks=24, noise=1.0, robots=2):
 def divided(monkeypatch, size):
     """Divide updates into blocks of a size."""
     for name in ('MAX_JOINT_OBSERVATIONS', 'MAX_BLOCK_OBSERVATIONS', 'MIN_BLOCK_OBSERVATIONS'):
-        monkeypatch.setattr(block_update, name, size)
+        monkeypatch.setattr(joint_update, name, size)
 
 
 def in_both_ways(monkeypatch, filter_, scans, block):
@@ -125,12 +125,12 @@ def test_iterations_that_end_early_leave_the_estimate_as_it_was(monkeypatch):
 
 def test_a_block_is_a_bounded_piece_of_work():
     sizes = {
-        n: block_update.block_size(SimpleNamespace(matrices=[SimpleNamespace(dimension=n)]))
+        n: joint_update.block_size(SimpleNamespace(matrices=[SimpleNamespace(dimension=n)]))
         for n in (100, 3000, 10_000)}
 
-    assert sizes[100] == block_update.MAX_BLOCK_OBSERVATIONS
-    assert 2 * sizes[3000] * 3000 ** 2 <= block_update.PIECE_FLOPS
-    assert sizes[10_000] == block_update.MIN_BLOCK_OBSERVATIONS
+    assert sizes[100] == joint_update.MAX_BLOCK_OBSERVATIONS
+    assert 2 * sizes[3000] * 3000 ** 2 <= joint_update.PIECE_FLOPS
+    assert sizes[10_000] == joint_update.MIN_BLOCK_OBSERVATIONS
 
 
 def test_observations_of_few_landmarks_by_many_robots_are_one_update(monkeypatch):
