@@ -119,7 +119,9 @@ def _field(field: inspect.Parameter, parameter: Parameter | None) -> Sequence[st
 def _public_methods(thing: type) -> Iterator[tuple[str, Any]]:
     """Yield methods and properties in the order of the source, without those of fields."""
     fields = {f.name for f in dataclasses.fields(thing)} if dataclasses.is_dataclass(thing) else ()
-    for name, value in vars(thing).items():
+    classes = [thing] if fields else reversed(thing.__mro__)
+    members = {name: value for base in classes for name, value in vars(base).items()}
+    for name, value in members.items():
         is_callable = inspect.isfunction(value) or isinstance(value, (classmethod, property))
         if not name.startswith('_') and is_callable and name not in fields:
             yield name, value.__func__ if isinstance(value, classmethod) else value

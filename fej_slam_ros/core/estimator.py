@@ -7,8 +7,7 @@ The live node, the replay of a bag, Monte Carlo runs and tests drive this one ob
 two calls: `add` a record, `take` the finished steps.
 """
 
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 import math
 import sys
 
@@ -30,16 +29,13 @@ from fej_slam_ros.core.estimates import (
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.new_landmarks import (
     MAX_NEW_WITHOUT_ID, room_for_landmarks, start_landmarks)
-from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    AnyScan, LandmarkKey, Motion, NO_ID, Odometry, PosePrior, PriorMap, Record, RobotScan, Scan,
-    Step, TrueLandmarks)
+    AnyScan, LandmarkKey, Motion, NO_ID, PriorMap, Record, Scan, Step, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
@@ -55,7 +51,7 @@ class BrokenEstimateError(UserError):
             ' that are far too small or too large, and for odometry stamps that jump')
 
 
-class Estimator:
+class Estimator(TeamInput):
     """
     Joint estimation of a team of robots and their map.
 
@@ -67,6 +63,7 @@ class Estimator:
     Attributes
     ----------
     settings : parameters of the estimation at present
+    robots : settings of each robot by name, in the order of processing
     needs_ids : whether the filter requires observations with IDs
     groups : the frame of each robot and its filter; `groups.not_in_map` has the reasons
     landmark_manager : landmarks observed without IDs
@@ -78,28 +75,22 @@ class Estimator:
 
     """
 
+    settings: Settings
+
     def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
-        self.settings = settings
+        super().__init__(settings)
         # Ground truth lists landmarks by ID.
         self.needs_ids = LINEARIZATIONS[settings.filter].needs_truth
-        self.statistics = InputStatistics()
-        self.truth = RecordedTruth()
         self.evaluation = PoseEvaluation(self.truth)
         self.groups = FrameGroups(settings, self.truth, prior)
         lowest_id = NO_ID if prior is None else min([NO_ID, *prior.ids])
         self.landmark_manager = LandmarkManager(lowest_id)
         self.innovations = InnovationMonitor()
-        self.steps: Counter[str] = Counter()
-        self.sequencer = Sequencer(settings, self.statistics)
-        self._joiner = TeamJoiner(settings, self.groups, self.landmark_manager, self.statistics)
+        self._joiner = TeamJoiner(
+            settings, self.groups, self.landmark_manager, self.statistics, self._pose_priors)
         self._quarantine = Quarantine(self.groups, self.statistics, self.innovations.lost_robots)
         self._matcher = JointCompatibilityMatcher(settings.match_probability)
         self.change_team(settings.robots)
-
-    @property
-    def robots(self) -> Mapping[str, RobotSettings]:
-        """Return the robots of the team by name, in the order of processing."""
-        return self.groups.robots
 
     def change_team(
         self, robots: Sequence[RobotSettings], settings: Settings | None = None
@@ -120,18 +111,16 @@ class Estimator:
         """
         if settings is not None:
             self._change_settings(settings)
-        before = self.groups.robots
-        self.groups.robots = {robot.name: robot for robot in robots}
+        super().change_team(robots)
+        before, self.groups.robots = self.groups.robots, self.robots
         for name in before:
-            if name not in self.groups.robots:
-                self._joiner.pose_priors.leave(name)
+            if name not in self.robots:
                 self.groups.leave(name)
                 self.innovations.lost_robots.reset(name)
-        for name in self.groups.robots:
+        for name in self.robots:
             if name not in before:
                 self.innovations.nis.setdefault(name, NisMonitor())
                 self.groups.not_in_map[name] = 'it sent no odometry'
-        self.sequencer.change_team(robots)
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """
@@ -143,25 +132,12 @@ class Estimator:
         received : time of reception [ns] on the clock of the stamp, None if it is unknown
 
         """
-        if isinstance(record, TrueLandmarks):
-            self.truth.add(record)
-            return None
-        self.statistics.received[record.robot] += 1
-        if isinstance(record, (Odometry, Scan, RobotScan)):
-            return self.sequencer.add(record, received)
-        if record.robot not in self.robots:
-            return self.statistics.reject_record(record, RejectionReason.UNKNOWN_ROBOT)
-        if isinstance(record, PosePrior):
-            if self.settings.is_future(record.stamp, received):
-                return self.statistics.reject_record(record, RejectionReason.FUTURE)
-            return self._joiner.pose_priors.add(record)
-        reason = self.truth.add(record)
-        if reason is not None:
-            return self.statistics.reject_record(record, reason)
-        for stamp in self.truth.take_surplus(record.robot):
-            self.statistics.reject(
-                Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
-        return None
+        reason = super().add(record, received)
+        if reason is None and isinstance(record, TruePose):
+            for stamp in self.truth.take_surplus(record.robot):
+                self.statistics.reject(
+                    Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
+        return reason
 
     def run(self, records: Iterable[Record]) -> Iterator[StepResult]:
         """Add all records and close; yield each step when it is finished."""
@@ -181,18 +157,12 @@ class Estimator:
     def close(self) -> Iterator[StepResult]:
         """Yield the last steps at the end of the input."""
         yield from self.release()
-        self.sequencer.close()
-        self._joiner.pose_priors.close()
+        self._end_input()
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
         self.sequencer.resume()
         self.truth.resume()
-
-    def used(self, robot: str) -> int:
-        """Return the number of messages of a robot that have been used."""
-        waiting = self.sequencer.waiting(robot) + self._joiner.pose_priors.waiting(robot)
-        return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def pose(self, robot: str) -> PoseEstimate:
         """Return the pose of a robot after its last step."""

@@ -51,19 +51,19 @@ class TeamJoiner:
     groups : the frame groups
     landmark_manager : merges the duplicate landmarks of joined maps
     statistics : counts rejected observations and pose priors
+    pose_priors : initial poses that wait for a step of their robot
 
     """
 
     def __init__(
         self, settings: Settings, groups: FrameGroups, landmark_manager: LandmarkManager,
-        statistics: InputStatistics,
+        statistics: InputStatistics, pose_priors: PosePriors,
     ) -> None:
-        #: initial poses that wait for a step of their robot
-        self.pose_priors = PosePriors(statistics)
         self._settings = settings
         self._groups = groups
         self._landmark_manager = landmark_manager
         self._statistics = statistics
+        self._pose_priors = pose_priors
         self._joiner = _map_joiner(settings)
         # When the landmarks without ID of two groups were compared [ns], and why they do not join,
         # by the owners of the groups.
@@ -172,7 +172,7 @@ class TeamJoiner:
         """
         if robot not in self._groups.team.robots:
             return False
-        due = [*self.pose_priors.take(robot, stamp)]
+        due = [*self._pose_priors.take(robot, stamp)]
         self._statistics.pose_priors_used[robot] += len(due)
         for prior in due:
             if prior.is_too_uncertain():
@@ -183,7 +183,7 @@ class TeamJoiner:
 
     def apply_pose_priors(self, robot: str, stamp: int) -> None:
         """Apply the initial poses of a robot outside ``map`` that are due at one of its steps."""
-        for prior in self.pose_priors.take(robot, stamp):
+        for prior in self._pose_priors.take(robot, stamp):
             group = self._groups.of(robot)
             if group is self._groups.team:
                 reason = RejectionReason.ALREADY_LOCATED

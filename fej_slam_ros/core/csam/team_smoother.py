@@ -24,19 +24,15 @@ from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.ordering.pose_priors import PosePriors
-from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.records import (
-    Motion, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Step,
-    TrueLandmarks, TruePose)
+    Motion, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
-class TeamSmoother:
+class TeamSmoother(TeamInput):
     """
     Trajectories and maps of a team of robots.
 
@@ -62,15 +58,10 @@ class TeamSmoother:
 
     """
 
-    #: Observations without IDs are rejected.
-    needs_ids = True
+    settings: SmootherSettings
 
     def __init__(self, settings: SmootherSettings, solve_every: int = SOLVE_EVERY) -> None:
-        self.settings = settings
-        self.robots = {robot.name: robot for robot in settings.robots}
-        self.statistics = InputStatistics()
-        self.truth = RecordedTruth()
-        self.steps: Counter[str] = Counter()
+        super().__init__(settings)
         self.between_keyframes: Counter[str] = Counter()
         self.odometry: dict[str, Array] = {}
         self.trajectories: dict[str, RobotTrajectory] = {}
@@ -79,14 +70,12 @@ class TeamSmoother:
         self._solve_every = solve_every
         self._measurements: list[RendezvousMeasurement] = []
         self._observed_pairs: set[tuple[str, str]] = set()  # observers and observed of these
-        self._pose_priors = PosePriors(self.statistics)
         self._keyframes = Keyframes(settings.keyframe_distance)
         # Rest of the present step, and the robots whose poses in it are kept.
         self._due: deque[RobotStep] = deque()
         self._due_scans: list[RobotScan] = []
         self._kept: set[str] = set()
         self._stamp = 0
-        self._sequencer = Sequencer(settings, self.statistics)
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """
@@ -96,11 +85,7 @@ class TeamSmoother:
         until it observes some of its landmarks again.
 
         """
-        remaining = {robot.name: robot for robot in robots}
-        for name in self.robots.keys() - remaining:
-            self._pose_priors.leave(name)
-        self.robots = remaining
-        self._sequencer.change_team(robots)
+        super().change_team(robots)
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """
@@ -111,53 +96,36 @@ class TeamSmoother:
         stamp.
 
         """
-        if isinstance(record, TrueLandmarks):
-            self.truth.add(record)
-            return None
-        self.statistics.received[record.robot] += 1
-        if isinstance(record, (PosePrior, TruePose)) and record.robot not in self.robots:
-            return self.statistics.reject_record(record, RejectionReason.UNKNOWN_ROBOT)
-        if isinstance(record, PosePrior):
-            if self.settings.is_future(record.stamp, received):
-                return self.statistics.reject_record(record, RejectionReason.FUTURE)
-            return self._pose_priors.add(record)
-        if isinstance(record, TruePose):
-            reason = self.truth.add(record)
-            return None if reason is None else self.statistics.reject_record(record, reason)
-        covariance = record.twist_covariance if isinstance(record, Odometry) else None
-        if covariance is not None and not is_definite(covariance):
-            return self.statistics.reject_record(record, RejectionReason.BAD_COVARIANCE)
-        return self._sequencer.add(record, received)
+        if isinstance(record, Odometry) and record.twist_covariance is not None and (
+                not is_definite(record.twist_covariance)):
+            reason = RejectionReason.BAD_COVARIANCE
+            self.statistics.reject_message(record.robot, record.stamp, reason)
+            return reason
+        return super().add(record, received)
 
     @property
     def is_waiting(self) -> bool:
         """Return whether there is no pose to take before more input."""
-        return self._sequencer.is_waiting and not self._due
+        return self.sequencer.is_waiting and not self._due
 
     def take(self) -> Iterator[PoseEstimate]:
         """Yield the new poses of the steps that are due; a later call continues after a stop."""
-        return self._poses(self._sequencer.take())
+        return self._poses(self.sequencer.take())
 
     def release(self) -> Iterator[PoseEstimate]:
         """Yield the poses of all input so far without waiting for later input."""
-        return self._poses(self._sequencer.release())
+        return self._poses(self.sequencer.release())
 
     def close(self) -> Iterator[PoseEstimate]:
         """Yield the last poses at the end of the input."""
         yield from self.release()
-        self._sequencer.close()
-        self._pose_priors.close()
+        self._end_input()
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
-        self._sequencer.resume()
+        self.sequencer.resume()
         # A solution that was being computed is lost.
         self.new_poses += 1
-
-    def used(self, robot: str) -> int:
-        """Return the number of messages of a robot that were used."""
-        waiting = self._sequencer.waiting(robot) + self._pose_priors.waiting(robot)
-        return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
 
     def task(self) -> SmoothingTask:
         """Return the task of smoothing all input so far."""
@@ -287,7 +255,7 @@ class TeamSmoother:
         if observer.is_lost or observed.is_lost:
             self.statistics.reject(Rejection(
                 scan.robot, scan.stamp, RejectionReason.LOST_ROBOT,
-                id=self._sequencer.ids[observation.observed], observed=observation.observed))
+                id=self.sequencer.ids[observation.observed], observed=observation.observed))
             return
         self.statistics.observations_used[scan.robot] += 1
         self._observed_pairs.add((scan.robot, observation.observed))

@@ -39,7 +39,7 @@ Held = tuple[TimedRecord, int | None]
 
 
 class Consumer(Protocol):
-    """An estimator or smoother: it consumes records and counts rejections."""
+    """An estimator or smoother, or what collects their records: it counts rejections."""
 
     statistics: InputStatistics
     truth: RecordedTruth
@@ -58,6 +58,9 @@ class Consumer(Protocol):
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """Insert a record; return the reason if it is rejected, None if it is accepted."""
+
+    def used(self, robot: str) -> int:
+        """Return the number of messages of a robot that were used."""
 
 
 @dataclass(frozen=True, slots=True)

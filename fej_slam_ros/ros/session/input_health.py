@@ -5,7 +5,7 @@
 from collections import Counter, defaultdict, deque
 from dataclasses import dataclass, field
 from statistics import median
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from fej_slam_ros.core.ordering.time_jump import Consumer
 from fej_slam_ros.core.records import NS
@@ -31,13 +31,6 @@ RATE_WINDOW = 5 * NS
 MIN_GATE_SAMPLE = 10
 #: Observations older than this [ns] no longer tell the present state.
 OBSERVATION_WINDOW = 30 * NS
-
-
-class HealthConsumer(Consumer, Protocol):
-    """An estimator or smoother whose input is watched."""
-
-    def used(self, robot: str) -> int:
-        """Return the number of messages of a robot that have been used."""
 
 
 #: Minimum number of messages, and minimum time [ns], for which all must be rejected: one bad
@@ -224,7 +217,7 @@ class InputHealth:
 
     """
 
-    def __init__(self, consumer: HealthConsumer) -> None:
+    def __init__(self, consumer: Consumer) -> None:
         self._consumer = consumer
         self.first_messages: deque[tuple[str, str]] = deque(maxlen=MAX_NOTES)
         self.newest: dict[str, int] = {}

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
+from fej_slam_ros.core.ordering.time_jump import Consumer, TimeJumpDetector
 from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
@@ -20,7 +20,7 @@ from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
-from fej_slam_ros.ros.session.input_health import HealthConsumer, InputHealth, LargeScan
+from fej_slam_ros.ros.session.input_health import InputHealth, LargeScan
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, NothingMissed, StartCheck
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
 
@@ -85,7 +85,7 @@ class Inputs:
     start_check: StartCheck
 
     def __init__(
-        self, consumer: HealthConsumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
+        self, consumer: Consumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
         settings: NodeSettings = DEFAULTS,
     ) -> None:
         self._consumer = consumer

@@ -11,6 +11,7 @@ from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.records import (
     NS, PosePrior, RendezvousKey, RobotObservation, RobotScan, UNKNOWN_POSE_COVARIANCE)
 from fej_slam_ros.core.rejections import RejectionReason
@@ -29,7 +30,7 @@ class Joining:
 
     Attributes
     ----------
-    groups, statistics, joiner : of the team
+    groups, statistics, pose_priors, joiner : of the team
 
     """
 
@@ -40,7 +41,9 @@ class Joining:
         for robot in settings.robots:
             self.groups.begin(robot, 5)
         self.groups.is_initialized = True
-        self.joiner = TeamJoiner(settings, self.groups, LandmarkManager(), self.statistics)
+        self.pose_priors = PosePriors(self.statistics)
+        self.joiner = TeamJoiner(
+            settings, self.groups, LandmarkManager(), self.statistics, self.pose_priors)
 
     def observe_landmarks(self, robot, points, sigma=0.01, first_id=0):
         """Let a robot start confirmed landmarks at points of the base frame, numbered on."""
@@ -209,7 +212,7 @@ def test_an_outlier_among_rendezvous_points_is_dropped_and_the_rest_joins(joinin
 
 
 def test_a_pose_prior_joins_the_frame_of_its_robot_at_its_next_step(joining):
-    joining.joiner.pose_priors.add(PosePrior('r2', 7, G, 0.01 * np.eye(3)))
+    joining.pose_priors.add(PosePrior('r2', 7, G, 0.01 * np.eye(3)))
 
     joining.joiner.apply_pose_priors('r2', 6)
     assert [group.frame for group in joining.groups] == ['map', 'r2/map']
@@ -222,7 +225,7 @@ def test_a_pose_prior_joins_the_frame_of_its_robot_at_its_next_step(joining):
 def test_a_pose_prior_that_contradicts_shared_landmarks_is_rejected(joining):
     joining.share_landmarks(2)
     pose = G + np.array([5.0, 0.0, 0.0])
-    joining.joiner.pose_priors.add(PosePrior('r2', 7, pose, 0.01 * np.eye(3)))
+    joining.pose_priors.add(PosePrior('r2', 7, pose, 0.01 * np.eye(3)))
 
     joining.joiner.apply_pose_priors('r2', 7)
 
@@ -233,7 +236,7 @@ def test_a_pose_prior_that_contradicts_shared_landmarks_is_rejected(joining):
 def test_a_pose_places_a_robot_of_the_map_independently_of_the_map(joining):
     state = joining.groups.team.state
     joining.share_landmarks(2)
-    joining.joiner.pose_priors.add(PosePrior('r1', 7, G, 0.01 * np.eye(3)))
+    joining.pose_priors.add(PosePrior('r1', 7, G, 0.01 * np.eye(3)))
 
     assert not joining.joiner.relocate('r1', 6)
     assert joining.joiner.relocate('r1', 7)
@@ -250,7 +253,7 @@ def test_a_pose_places_a_robot_of_the_map_independently_of_the_map(joining):
 
 def test_a_pose_too_uncertain_to_linearise_restarts_its_robot_in_its_own_frame(joining):
     P = np.diag([1.0, 1.0, 3.0])
-    joining.joiner.pose_priors.add(PosePrior('r1', 7, G, P))
+    joining.pose_priors.add(PosePrior('r1', 7, G, P))
 
     assert joining.joiner.relocate('r1', 7)
 
@@ -259,7 +262,7 @@ def test_a_pose_too_uncertain_to_linearise_restarts_its_robot_in_its_own_frame(j
 
 
 def test_a_pose_too_uncertain_to_linearise_leaves_a_robot_outside_map(joining):
-    joining.joiner.pose_priors.add(PosePrior('r2', 7, G, UNKNOWN_POSE_COVARIANCE))
+    joining.pose_priors.add(PosePrior('r2', 7, G, UNKNOWN_POSE_COVARIANCE))
 
     joining.joiner.apply_pose_priors('r2', 7)
 
@@ -268,7 +271,7 @@ def test_a_pose_too_uncertain_to_linearise_leaves_a_robot_outside_map(joining):
 
 
 def test_a_pose_of_a_robot_that_joined_at_the_same_step_is_rejected(joining):
-    joining.joiner.pose_priors.add(PosePrior('r1', 7, G, 0.01 * np.eye(3)))
+    joining.pose_priors.add(PosePrior('r1', 7, G, 0.01 * np.eye(3)))
 
     joining.joiner.apply_pose_priors('r1', 7)
 

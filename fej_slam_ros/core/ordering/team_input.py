@@ -1,0 +1,91 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The input of a team, which the estimator and the smoother have in common."""
+
+from collections import Counter
+from collections.abc import Sequence
+
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.ordering.pose_priors import PosePriors
+from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.records import (
+    Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import CommonSettings, RobotSettings
+
+
+class TeamInput:
+    """
+    Base of the estimator and of the smoother: it takes records of all kinds, in any order.
+
+    Parameters
+    ----------
+    settings : the team, and the limits of delays
+
+    Attributes
+    ----------
+    settings : parameters at present
+    robots : settings of each robot by name, in the order of processing
+    statistics : counts of used and rejected input
+    truth : ground truth in the input
+    sequencer : the waiting measurements
+    steps : number of steps of each robot
+
+    """
+
+    needs_ids = True  #: whether observations without IDs are rejected
+
+    def __init__(self, settings: CommonSettings) -> None:
+        self.settings = settings
+        self.robots = {robot.name: robot for robot in settings.robots}
+        self.statistics = InputStatistics()
+        self.truth = RecordedTruth()
+        self.sequencer = Sequencer(settings, self.statistics)
+        self.steps: Counter[str] = Counter()
+        self._pose_priors = PosePriors(self.statistics)
+
+    def change_team(self, robots: Sequence[RobotSettings]) -> None:
+        """Change the team, whose robots are given in the order of processing."""
+        before, self.robots = self.robots, {robot.name: robot for robot in robots}
+        for name in before:
+            if name not in self.robots:
+                self._pose_priors.leave(name)
+        self.sequencer.change_team(robots)
+
+    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
+        """
+        Add a record; return the reason if it is rejected, None if it is accepted.
+
+        Parameters
+        ----------
+        record : measurement, initial pose or ground truth
+        received : time of reception [ns] on the clock of the stamp, None if it is unknown
+
+        """
+        if isinstance(record, TrueLandmarks):
+            self.truth.add(record)
+            return None
+        self.statistics.received[record.robot] += 1
+        if isinstance(record, (Odometry, Scan, RobotScan)):
+            return self.sequencer.add(record, received)
+        reason: RejectionReason | None
+        if record.robot not in self.robots:
+            reason = RejectionReason.UNKNOWN_ROBOT
+        elif isinstance(record, TruePose):
+            reason = self.truth.add(record)
+        elif self.settings.is_future(record.stamp, received):
+            reason = RejectionReason.FUTURE
+        else:
+            return self._pose_priors.add(record)
+        return None if reason is None else self.statistics.reject_record(record, reason)
+
+    def used(self, robot: str) -> int:
+        """Return the number of messages of a robot that were used."""
+        waiting = self.sequencer.waiting(robot) + self._pose_priors.waiting(robot)
+        return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
+
+    def _end_input(self) -> None:
+        """Reject the records that no odometry has reached."""
+        self.sequencer.close()
+        self._pose_priors.close()
