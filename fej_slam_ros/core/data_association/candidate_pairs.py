@@ -165,13 +165,12 @@ def candidate_pairs(
     HPH = H[near] @ state.covariance.blocks(columns[near]) @ H[near].transpose(0, 2, 1)
     is_candidate = squared_distances(r[i, f], HPH[f_near] + R[i]) < MAX_PAIR_D2
     i, f = i[is_candidate], f[is_candidate]
-    noise = 0.5 * np.log(np.linalg.det(R))[i]
-    if len(i) > MAX_CANDIDATE_PAIRS:
-        return CandidatePairs(
-            i, f, log_odds[f], noise, log_odds[f], r[i, f].T.ravel(), np.empty((0, 0)))
     pairs = CandidatePairs(
-        i, f, log_odds[f], noise, log_odds[f], r[i, f].T.ravel(),
-        _innovation_covariance(state, H[f], columns[f], R[i]))
+        i, f, log_odds[f], 0.5 * np.log(np.linalg.det(R))[i], log_odds[f], r[i, f].T.ravel(),
+        np.empty((0, 0)))
+    if len(pairs) > MAX_CANDIDATE_PAIRS:
+        return pairs
+    pairs = replace(pairs, S=_innovation_covariance(state, H[f], columns[f], R[i]))
     d2, gains, _ = pairs.weights_given_others
     return replace(pairs, max_gain=gains + 0.5 * d2)
 
