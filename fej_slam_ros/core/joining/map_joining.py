@@ -192,23 +192,16 @@ def joined_state(
     new = StackedVariables([v for v in group.variables() if v not in theirs.variables])
     first = new.carried(g, group.estimates_of(new.indices))
     at, new_at = linearization.joining_points(team, ours.variables, new.variables, first)
-    n = len(team.x_hat)
     # The conditions are A dz - D dg = r, for z = [x_T, x_L] and A = [E_T, -C E_L], where E_T and
     # E_L select the shared variables and C turns them.
     x_carried = ours.carried(g, group.estimates_of(theirs.indices))
     r = ours.difference(x_carried, team.estimates_of(ours.indices))
-    P_T, P_L = team.marginal(team.variables()), group.marginal(group.variables())
-    pause()
-    P_LL = P_L[np.ix_(theirs.indices, theirs.indices)]
-    APA = P_T[np.ix_(ours.indices, ours.indices)] + ours.turned_covariance(g, P_LL)
-    AP = np.hstack([P_T[ours.indices], -ours.turned(g, P_L[theirs.indices])])
-    D = ours.derivative(g, at)
-    P = block_diag(P_T, P_L)
-    del P_T, P_L  # 200 MB for 2,500 landmarks
-    dz, dg, P_z, P_gz, P_g = _conditioned(P, AP, APA, D, r)
+    dz, dg, P_z, P_gz, P_g = _conditioned(
+        *_prior(team, group, ours, theirs, g), ours.derivative(g, at), r)
     pause()
 
     # New variables are C x + D g of those of the group and of g.
+    n = len(team.x_hat)
     in_z, D = n + new.indices, new.derivative(g, new_at)
     P_new = new.turned(g, P_z[in_z]) + D @ P_gz
     P_new_g = new.turned(g, P_gz[:, in_z].T) + D @ P_g
@@ -225,6 +218,19 @@ def joined_state(
     marginalize(
         [key for key in team.rendezvous_points if key in group.rendezvous_points], [state])
     return state
+
+
+def _prior(
+    team: JointState, group: JointState, ours: StackedVariables, theirs: StackedVariables,
+    g: Array,
+) -> tuple[Array, Array, Array]:
+    """Return the covariance P of z, A P and A P A^T."""
+    P_T, P_L = team.marginal(team.variables()), group.marginal(group.variables())
+    pause()
+    P_LL = P_L[np.ix_(theirs.indices, theirs.indices)]
+    APA = P_T[np.ix_(ours.indices, ours.indices)] + ours.turned_covariance(g, P_LL)
+    AP = np.hstack([P_T[ours.indices], -ours.turned(g, P_L[theirs.indices])])
+    return block_diag(P_T, P_L), AP, APA
 
 
 def _conditioned(
