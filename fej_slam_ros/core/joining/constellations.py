@@ -82,14 +82,24 @@ def with_shared_landmarks(team: JointState, group: JointState) -> JointState | J
     The reason for a failure is a sentence for users.
 
     """
-    # Its import takes a fifth of a second, and few runs need it.
-    from networkx import find_cliques, Graph  # noqa: PLC0415
-
     without_id = _latest_without_id(team, group), _latest_without_id(group, team)
     fewer = min(map(len, without_id))
     if fewer < MIN_MATCHES:
         return JoinFailure(f'{fewer} landmarks without ID, needs {MIN_MATCHES}')
     ours, theirs = _map(team, without_id[0]), _map(group, without_id[1])
+    best = _best_hypothesis(ours, theirs)
+    if isinstance(best, JoinFailure):
+        return best
+    new_keys = {
+        theirs.landmarks[j].key: ours.landmarks[i].key for i, j in zip(best.ours, best.theirs)}
+    return _renamed(group, new_keys)
+
+
+def _best_hypothesis(ours: _Map, theirs: _Map) -> _Hypothesis | JoinFailure:
+    """Return the hypothesis with the most landmarks, if no other has nearly as many."""
+    # Its import takes a fifth of a second, and few runs need it.
+    from networkx import find_cliques, Graph  # noqa: PLC0415
+
     pairs = _consistent(ours, theirs)
     cliques = [*islice(find_cliques(Graph(pairs.tolist())), MAX_CLIQUES)] if (
         len(pairs) <= MAX_CONSISTENT_PAIRS) else []
@@ -108,9 +118,7 @@ def with_shared_landmarks(team: JointState, group: JointState) -> JointState | J
         return JoinFailure(
             f'{len(best.ours)} landmarks without ID fit another map, but {second} fit elsewhere,'
             ' too: they are symmetric or repeated')
-    new_keys = {
-        theirs.landmarks[j].key: ours.landmarks[i].key for i, j in zip(best.ours, best.theirs)}
-    return _renamed(group, new_keys)
+    return best
 
 
 def _latest_without_id(state: JointState, other: JointState) -> list[Landmark]:
