@@ -82,4 +82,5 @@ def true_base_node(team, first, robot):
 
 def rendezvous_of(maps, measurements):
     """Return the input of `align` for the local maps of two robots."""
-    return rendezvous_between(*map(JointMap.of, maps), measurements)
+    return rendezvous_between(
+        *map(JointMap.of, maps), measurements, JointMap.rendezvous_information)

@@ -29,8 +29,7 @@ def alignment_window(measurements: Measurements) -> Measurements:
 
 
 def rendezvous_between(
-    p: JointMap, q: JointMap, measurements: Measurements,
-    information: InformationOf = JointMap.rendezvous_information,
+    p: JointMap, q: JointMap, measurements: Measurements, information: InformationOf
 ) -> tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]:
     """Return the input of Algorithm 1 for two maps, with the information of each about poses."""
     ends = [((m.observer, m.pose), (m.observed, m.observed_pose)) for m in measurements]
