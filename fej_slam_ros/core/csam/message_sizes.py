@@ -42,17 +42,9 @@ def sizes(
     once, with the poses for all receivers.
 
     """
-    pairs: dict[frozenset[str], list[RendezvousMeasurement]] = {}
-    for m in measurements:
-        pairs.setdefault(frozenset((m.observer, m.observed)), []).append(m)
     # Sizes do not depend on the values, and outliers of a map would keep it from a minimum.
     joint = {local.robot: JointMap.unsolved(local) for local in maps}
-    poses: dict[tuple[str, str], Indices] = {}
-    for pair, of_pair in pairs.items():
-        window = alignment_window(of_pair)
-        for sender, receiver in permutations(sorted(pair)):
-            poses[sender, receiver] = np.unique([
-                m.pose if m.observer == sender else m.observed_pose for m in window])
+    poses = _sent_poses(measurements)
     for_all: defaultdict[str, list[Indices]] = defaultdict(list)
     for (sender, _), window_poses in poses.items():
         for_all[sender].append(window_poses)
@@ -67,6 +59,18 @@ def sizes(
             'subset': len(_packed(_subset(joint[sender], of_pair, information[sender]))),
             'log': len(message('log', joint[sender], of_pair)), 'map': size_of_map[sender]}
         for (sender, receiver), of_pair in poses.items()}
+
+
+def _sent_poses(measurements: Measurements) -> dict[tuple[str, str], Indices]:
+    """Return the poses (k,) that are sent, by sender and receiver."""
+    pairs: dict[frozenset[str], list[RendezvousMeasurement]] = {}
+    for m in measurements:
+        pairs.setdefault(frozenset((m.observer, m.observed)), []).append(m)
+    return {
+        (sender, receiver): np.unique([
+            m.pose if m.observer == sender else m.observed_pose
+            for m in alignment_window(of_pair)])
+        for pair, of_pair in pairs.items() for sender, receiver in permutations(sorted(pair))}
 
 
 def smallest(by_form: Mapping[str, float]) -> str:
