@@ -29,7 +29,7 @@ def merge_duplicates(
 
     Parameters
     ----------
-    filter_ : filter of the landmarks
+    filter_ : filter of the landmarks; its state has a robot
     candidates : landmarks to be checked
     observed_together : landmarks of one scan, which are therefore all distinct
 
@@ -53,7 +53,7 @@ def merge_duplicates(
             landmark.distinct.add(other.key)
             other.distinct.add(landmark.key)
         elif not _are_distinct(landmark, other) and _are_one(
-            state, landmark, other, float(distances[second])
+            filter_, landmark, other, float(distances[second])
         ):
             kept, duplicate = sorted((landmark, other), key=lambda f: -f.key[1])
             kept.distinct |= duplicate.distinct
@@ -73,16 +73,16 @@ def _are_distinct(a: Landmark, b: Landmark) -> bool:
     return a.key in b.distinct or b.key in a.distinct
 
 
-def _are_one(state: JointState, a: Landmark, b: Landmark, spacing: float) -> bool:
+def _are_one(filter_: Filter, a: Landmark, b: Landmark, spacing: float) -> bool:
     """
     Return whether two landmarks are one, by the density of their difference d.
 
     For one landmark it is N(d; 0, S), for two it is 1 / (pi spacing^2).
 
     """
-    d: Array = state.estimate(a) - state.estimate(b)
-    P = state.marginal([a, b])
-    S = P[:2, :2] + P[2:, 2:] - P[:2, 2:] - P[2:, :2]
+    d, (columns, (H,)) = filter_.landmark_difference(a, b)
+    P, = filter_.state.covariance.blocks(columns)
+    S = H @ P @ H.T
     d2 = float(d @ np.linalg.solve(S, d))
     ratio = math.exp(-0.5 * d2) * spacing**2 / (2.0 * math.sqrt(np.linalg.det(S)))
     return ratio > MIN_LIKELIHOOD_RATIO

@@ -151,8 +151,14 @@ class LandmarkManager:
         self._count(robot.name, merged=merged)
 
     def merge(self, filter_: Filter, robot: str) -> None:
-        """Merge duplicate landmarks after a robot's frame has been joined."""
-        while merged := merge_duplicates(filter_, filter_.state.confirmed_landmarks()):
+        """
+        Merge duplicate landmarks after a robot's frame has been joined.
+
+        Maps whose robots have all left keep theirs until a frame with a robot joins.
+
+        """
+        while filter_.state.robots and (
+                merged := merge_duplicates(filter_, filter_.state.confirmed_landmarks())):
             self._count(robot, merged=merged)
 
     def _add_hit(self, robot: Robot, landmark: Landmark) -> None:

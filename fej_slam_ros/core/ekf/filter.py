@@ -24,7 +24,7 @@ from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, perpendicular
 from fej_slam_ros.core.pieces import EndedError, pause
 from fej_slam_ros.core.records import (
     AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan,
@@ -267,15 +267,31 @@ class Filter:
             for scan in scans for observation in scan.observations
             if {scan.robot, observation.observed} <= robots.keys()]
 
+    def landmark_difference(
+        self, landmark: Landmark, other: Landmark
+    ) -> tuple[Array, SparseRows]:
+        """
+        Return the difference (2,) of two landmarks and its Jacobian, for a state with robots.
+
+        The Jacobian is that in the directions of the robot with the most certain heading. In those
+        of the frame, the difference would turn with a rotation of everything, and reveal it.
+
+        """
+        state = self.state
+        robot = min(
+            state.robots.values(), key=lambda robot: float(state.marginal([robot])[2, 2]))
+        variables = observation_columns([robot, robot], [landmark, other])
+        f, f_other = self.linearization.observation_points(state, variables)[:, 3:]
+        H = np.hstack([np.eye(2), -np.eye(2), -perpendicular(f - f_other)[:, None]])
+        columns = np.append(position_indices([landmark, other]), robot.slot.start + 2)
+        return state.estimate(landmark) - state.estimate(other), SparseRows(columns[None], H[None])
+
     def merge(self, landmark: Landmark, other: Landmark) -> None:
         """Merge the other landmark into the first by an update with their difference, zero."""
-        state = self.state
-        columns = position_indices([landmark, other]).reshape(1, 4)
-        self.submap.ensure_contains(state, columns)
-        H = SparseRows(columns, np.hstack([np.eye(2), -np.eye(2)])[None])
-        difference = state.estimate(other) - state.estimate(landmark)
+        state, (difference, H) = self.state, self.landmark_difference(landmark, other)
+        self.submap.ensure_contains(state, H.columns)
         update = joint_update(state.covariance, H, MERGE_VARIANCE * np.eye(2)[None])
-        self._correct(state.x_hat, update.apply(difference).dx)
+        self._correct(state.x_hat, update.apply(-difference).dx)
         state.remove(other)
 
     def landmark_key(self, robot: str, id_: int) -> LandmarkKey:

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
+from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from helpers.core import make_policy, quarter_turn, unknown_place
 from helpers.matching import a_map
 
 POINTS = np.array([[4.0, 0.0], [0.0, 9.0], [4.1, 0.1], [-8.0, 2.0]])
@@ -27,6 +29,8 @@ def test_merging_conditions_on_a_zero_difference():
     state = filter_.state
     H = np.zeros((2, 11))
     H[:, one.slot.indices], H[:, other.slot.indices] = np.eye(2), -np.eye(2)
+    # The difference in the directions of the robot, in which it is (-0.1, -0.1).
+    H[:, 2] = -quarter_turn(POINTS[0] - POINTS[2])
     P, x = state.marginal(state.variables()), state.x_hat.copy()
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
     kept = np.delete(np.arange(11), other.slot.indices)
@@ -34,9 +38,56 @@ def test_merging_conditions_on_a_zero_difference():
     filter_.merge(one, other)
 
     # The pseudo-measurement has a variance of 1e-12 m^2, the landmarks one of 1e-2.
-    np.testing.assert_allclose(state.x_hat, (x - K @ H @ x)[kept], atol=1e-9)
+    difference = POINTS[0] - POINTS[2]
+    np.testing.assert_allclose(state.x_hat, (x - K @ difference)[kept], atol=1e-9)
     np.testing.assert_allclose(
         state.marginal(state.variables()), (P - K @ H @ P)[np.ix_(kept, kept)], atol=1e-11)
+
+
+def coarsely_started(kind, points=POINTS, unknown=(0.0, 0.0, 0.0)):
+    """Return a filter with one bad first estimate, as after a coarse join, and its landmarks."""
+    before, (one, *_) = a_filter(points)
+    state = before.state
+    first = state.x_first.copy()
+    first[one.slot.indices] += 1.0, 2.0
+    at = first if kind == 'fej' else state.x_hat
+    state, _ = a_map(points, state.marginal(state.variables()) + unknown_place(state, at, unknown))
+    state.x_first = first
+    return Filter(state, make_policy(kind, None), Gate(1.0)), [*state.landmarks.values()]
+
+
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_merging_tells_nothing_about_a_motion_of_everything(kind):
+    sigma = (0.5, 0.8, 0.3)
+    known, (one, _, other, _) = coarsely_started(kind)
+    unknown, (one_of_unknown, _, other_of_unknown, _) = coarsely_started(kind, unknown=sigma)
+
+    known.merge(one, other)
+    unknown.merge(one_of_unknown, other_of_unknown)
+
+    state = unknown.state
+    P, P_known = (s.marginal(s.variables()) for s in (state, known.state))
+    at = state.x_first if kind == 'fej' else state.x_hat
+    # Rounding of P, of 10 m^2, with the variance of 1e-2 m^2 of the difference.
+    np.testing.assert_allclose(state.x_hat, known.state.x_hat, atol=1e-9)
+    np.testing.assert_allclose(P, P_known + unknown_place(state, at, sigma), atol=1e-9)
+
+
+def test_landmarks_apart_stay_apart_however_uncertain_the_motion_of_everything():
+    points = np.vstack([POINTS[:2], POINTS[:1] + np.array([1.0, 0.0]), POINTS[3:]])
+    filter_, landmarks = coarsely_started('fej', points, unknown=(5.0, 5.0, 0.3))
+
+    assert merge_duplicates(filter_, landmarks) == 0
+
+
+def test_a_map_whose_robots_have_left_keeps_its_duplicates():
+    """It has no heading that could show in which directions landmarks differ."""
+    filter_, _ = a_filter()
+    filter_.state.remove(filter_.state.robots['r1'])
+
+    LandmarkManager().merge(filter_, 'r1')
+
+    assert len(filter_.state.landmarks) == len(POINTS)
 
 
 def test_landmarks_that_are_likely_one_are_merged_under_the_older_id():
