@@ -69,11 +69,11 @@ class RobotTrajectory:
         """
         Go on at a pose (3,) of covariance P (3, 3) in the present frame, given from outside.
 
-        It counts as a motion from the last pose, whose covariance is added: that of the new pose
-        is too large by twice that of the last one, and never too small.
+        It counts as a motion from the last pose that is kept, whose covariance is added: that of
+        the new pose is too large by twice that of the last one, and never too small.
 
         """
-        last, P_last = self._smoother.pose, self._smoother.P
+        last, P_last = self.poses()[-1], self.covariances()[-1]
         Phi, C = models.Phi(pose[:2] - last[:2]), models.G(last[2])
         Q = C.T @ (P + Phi @ P_last @ Phi.T) @ C
         self._attach(self._start_own_frame(stamp, observations), pose, Q)

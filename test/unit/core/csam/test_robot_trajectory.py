@@ -1,0 +1,25 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The trajectory of one robot, of which not all poses are kept."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
+from fej_slam_ros.core.records import Motion
+
+Q = 1e-6 * np.eye(3)
+
+
+@pytest.mark.parametrize('turn', [0.0, 0.4])
+def test_a_given_pose_has_its_own_covariance_also_between_keyframes(turn):
+    trajectory = RobotTrajectory('r1', 0, (), 100)
+    trajectory.add_between_keyframes(Motion('r1', 1, np.array([0.0, 0.0, turn]), Q), ())
+    pose, P = np.array([2.0, 1.0, 0.7]), np.diag([1e-4, 1.0, 1e-2])
+
+    trajectory.place(2, pose, P, ())
+
+    # The only keyframe, where the frame begins, is exact.
+    assert_allclose(trajectory.newest().pose, pose, atol=1e-12)
+    assert_allclose(trajectory.newest().P, P, atol=1e-12)
