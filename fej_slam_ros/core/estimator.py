@@ -186,9 +186,10 @@ class Estimator(TeamInput):
 
     def relative_pose(self, observer: str, observed: str) -> RelativePose | None:
         """Return the pose of a robot in the base frame of another if both are in ``map``."""
-        state = self.groups.team.state
-        is_known = {observer, observed} <= state.robots.keys()
-        return relative_pose(state, observer, observed) if is_known else None
+        team = self.groups.team
+        if not {observer, observed} <= team.robots.keys():
+            return None
+        return relative_pose(team.state, team.filter.linearization, observer, observed)
 
     def state_hash(self) -> str:
         """Return SHA-256 over all estimates; equal for equal input on one machine."""

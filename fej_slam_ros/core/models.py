@@ -90,7 +90,8 @@ def H_pose(poses: Array, others: Array) -> Array:
 
     Parameters
     ----------
-    poses, others : (m, 3) arrays, poses to linearise at, in one frame
+    poses, others : (m, 3) arrays, poses to linearise at, in one frame; of others, positions (m, 2)
+        are enough
 
     Returns
     -------

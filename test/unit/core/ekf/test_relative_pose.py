@@ -4,9 +4,12 @@
 
 import numpy as np
 from numpy.testing import assert_allclose
+import pytest
 
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
-from helpers.core import central_differences, pose_difference, SmallTeam, turn
+from helpers.core import central_differences, pose_difference, SmallTeam, turn, unknown_place
+
+KINDS = ['standard', 'fej', 'invariant']
 
 
 def in_frame_of(x):
@@ -14,38 +17,42 @@ def in_frame_of(x):
     return np.array([*turn(x[2]).T @ (x[3:5] - x[:2]), x[5] - x[2]])
 
 
-def estimated_team():
+def estimated_team(kind):
+    """Return the filter of a team, and the values of the states that it linearises at."""
     team = SmallTeam(seed=5, robots=2, landmarks=4)
-    filter_ = team.start('fej')
+    filter_ = team.start(kind)
     for stamp in range(1, 6):
         team.step(filter_, stamp, team.names, team.names)
-    return filter_.state
+    state = filter_.state
+    return filter_, state.x_first if kind == 'fej' else state.x_hat
 
 
-def test_a_relative_pose_has_the_covariance_of_first_order():
-    state = estimated_team()
+@pytest.mark.parametrize('kind', KINDS)
+def test_a_relative_pose_has_the_covariance_of_first_order(kind):
+    filter_, x_lin = estimated_team(kind)
+    state = filter_.state
     robots = [state.robots['r1'], state.robots['r2']]
     x = np.concatenate([state.estimate(robot) for robot in robots])
-    D = central_differences(in_frame_of, x, pose_difference)
+    x_lin = np.concatenate([x_lin[robot.slot.indices] for robot in robots])
+    D = central_differences(in_frame_of, x_lin, pose_difference)
 
-    relative = relative_pose(state, 'r1', 'r2')
+    relative = relative_pose(state, filter_.linearization, 'r1', 'r2')
 
     assert_allclose(pose_difference(relative.pose, in_frame_of(x)), np.zeros(3), atol=1e-12)
     # Central differences are right to 1e-9.
     assert_allclose(relative.P, D @ state.marginal(robots) @ D.T, atol=1e-8)
 
 
-def test_common_errors_of_both_robots_cancel():
-    state = estimated_team()
-    before = relative_pose(state, 'r1', 'r2').P
-    every = state.variables()
-    P = state.marginal(every)
-    for variable in every:
-        for other in every:
-            i, j = variable.slot.start, other.slot.start
-            P[i:i + 2, j:j + 2] += 100.0 * np.eye(2)
+@pytest.mark.parametrize('kind', KINDS)
+def test_common_errors_of_both_robots_cancel(kind):
+    filter_, x_lin = estimated_team(kind)
+    state = filter_.state
+    before = relative_pose(state, filter_.linearization, 'r1', 'r2').P
+    unknown = unknown_place(state, x_lin, (10.0, 10.0, 0.5))
+    P = state.marginal(state.variables()) + unknown
 
     state.covariance = type(state.covariance)()
     state.covariance.insert(P)
 
-    assert_allclose(relative_pose(state, 'r1', 'r2').P, before, atol=1e-10)
+    after = relative_pose(state, filter_.linearization, 'r1', 'r2').P
+    assert_allclose(after, before, atol=1e-10)
