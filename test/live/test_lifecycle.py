@@ -25,10 +25,24 @@ WAITING = {**TEAM, 'autostart': False}
 
 def change(domain, label):
     """Request a transition; return whether it succeeded."""
-    request = lifecycle.ChangeState.Request()
-    request.transition.label = label
     return domain.ask(
-        '/estimator/change_state', lifecycle.ChangeState, transition=request.transition).success
+        '/estimator/change_state', lifecycle.ChangeState, transition=transition(label)).success
+
+
+def transition(label):
+    """Return the message of a transition."""
+    message = lifecycle.ChangeState.Request().transition
+    message.label = label
+    return message
+
+
+def requested(domain, *labels):
+    """Request transitions without waiting; return their futures."""
+    client = domain.node.create_client(lifecycle.ChangeState, '/estimator/change_state')
+    domain.until(client.service_is_ready)
+    return [
+        client.call_async(lifecycle.ChangeState.Request(transition=transition(label)))
+        for label in labels]
 
 
 def state(domain):
@@ -130,11 +144,7 @@ def test_requests_that_wait_during_a_cleanup_do_not_end_the_node(domain, tmp_pat
         domain.until(client.service_is_ready)
     assert change(domain, 'deactivate')
 
-    cleanup = lifecycle.ChangeState.Request()
-    cleanup.transition.label = 'cleanup'
-    changing = domain.node.create_client(lifecycle.ChangeState, '/estimator/change_state')
-    domain.until(changing.service_is_ready)
-    changed = changing.call_async(cleanup)
+    changed, = requested(domain, 'cleanup')
     for client, request in requests.items():
         client.call_async(request)
     domain.until(changed.done)
@@ -142,6 +152,24 @@ def test_requests_that_wait_during_a_cleanup_do_not_end_the_node(domain, tmp_pat
     assert changed.result().success
     assert state(domain) == 'unconfigured'
     assert not [*tmp_path.iterdir()]
+
+
+def test_messages_and_timers_that_wait_during_a_cleanup_do_not_end_the_node(domain, monkeypatch):
+    # The timer is due while messages are sent.
+    monkeypatch.setattr('fej_slam_ros.ros.nodes.session_node.DIAGNOSTICS_PERIOD', 1e-3)
+    node = domain.estimate(**TEAM)
+    messages = [*map(raw_record, meeting(20))]
+    before, waiting = messages[:60], messages[60:]
+    domain.send(*before)
+    domain.until(lambda: node.received == len(before))
+
+    changed = requested(domain, 'deactivate', 'cleanup')
+    domain.send(*waiting)
+    domain.until(lambda: all(future.done() for future in changed))
+
+    assert all(future.result().success for future in changed)
+    assert state(domain) == 'unconfigured'
+    assert node.received == len(before)
 
 
 def test_cleanup_discards_the_estimate_and_starts_a_new_run(domain, tmp_path):

@@ -29,6 +29,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.service import Service
 from rclpy.signals import SignalHandlerOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 from rclpy.utilities import try_shutdown
 from rosgraph_msgs.msg import Clock
 
@@ -186,13 +187,26 @@ class ParameterNode(CheckedClockNode):
             if service.srv_type in {SetParameters, SetParametersAtomically}:
                 service.callback = partial(self._answer, service.callback)
 
+    # What was ready when one of these is destroyed still waits for the executor, which would call
+    # it.
+
     def destroy_service(self, service: Service) -> bool:
         """Destroy a service; requests to it that wait for the executor are dropped."""
-        # The executor would still call it, and its answer end the node.
+        # An answer would end the node.
         vars(service).update(
             callback=lambda _request, response: response,
             send_response=lambda _response, _header: None)
         return bool(super().destroy_service(service))
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Destroy a subscription; messages on it that wait for the executor are dropped."""
+        subscription.callback = lambda _message: None
+        return bool(super().destroy_subscription(subscription))
+
+    def destroy_timer(self, timer: Timer) -> bool:
+        """Destroy a timer, also if it is due."""
+        timer.callback = lambda: None
+        return bool(super().destroy_timer(timer))
 
     def _answer(self, set_all: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
         """Set the parameters of a request, or refuse all if rclpy would end or block the node."""
