@@ -292,7 +292,7 @@ class AdapterSession:
 
     def _warning(self, name: str, counts: Counter[str]) -> str:
         """Return the sentence on the most serious condition of a robot, '' if all is well."""
-        origins = [*self._queue.waiting(), *self._queue.dropped]
+        origins = self._queue.unknown()
         frames = [origin.frame for origin in origins if self._reported(origin) == name]
         if frames:
             return _unknown_pose(name, frames[0])

@@ -74,7 +74,8 @@ class ObjectQueue:
         for origin in [*self._waiting]:
             robot = self.owner(origin)
             while robot and origin in self._waiting:
-                sensor = self._sensor(robot, origin.frame, self._waiting[origin][0])
+                sensor = self._sensor(
+                    robot, origin.frame, self._waiting[origin][0].sensor_pose)
                 if sensor is None:
                     break
                 yield robot, sensor, self._pop(origin)
@@ -88,6 +89,13 @@ class ObjectQueue:
     def waiting(self) -> dict[Origin, int]:
         """Return the number of scans that wait, by origin."""
         return {origin: len(scans) for origin, scans in self._waiting.items()}
+
+    def unknown(self) -> list[Origin]:
+        """Return the origins of waiting and dropped scans whose sensors are still not known."""
+        return [
+            origin for origin in (*self._waiting, *self.dropped)
+            if not (robot := self.owner(origin))
+            or self._sensor(robot, origin.frame, None) is None]
 
     def owner(self, origin: Origin) -> str:
         """
@@ -110,13 +118,13 @@ class ObjectQueue:
             robot for robot in self._robots if self._frames.pose(robot, origin.frame) is not None]
         return reached[0] if len(reached) == 1 else ''
 
-    def _sensor(self, robot: str, frame: str, scan: ObjectScan) -> Array | None:
-        """Return the pose (4, 4) of a sensor on its robot, None if it is unknown."""
+    def _sensor(self, robot: str, frame: str, reported: Array | None) -> Array | None:
+        """Return the pose (4, 4) of a sensor, which its message may have; None if unknown."""
         if frame and self._frames.is_base(robot, frame):
-            return np.eye(4) if scan.sensor_pose is None else scan.sensor_pose
+            return np.eye(4) if reported is None else reported
         if robot in self._given:
             return self._given[robot]
-        return self._frames.pose(robot, frame) if scan.sensor_pose is None else scan.sensor_pose
+        return self._frames.pose(robot, frame) if reported is None else reported
 
     def _pop(self, origin: Origin) -> ObjectScan:
         scans = self._waiting[origin]

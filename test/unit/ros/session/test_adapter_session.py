@@ -156,6 +156,16 @@ def test_objects_without_a_transform_are_bounded_counted_and_named():
     assert (counts['waiting'], counts['rejected_wrong_frame']) == (0, 1_200)
 
 
+def test_a_transform_that_has_come_is_no_longer_reported_as_missing():
+    session = session_of()
+    run_until(session, *(
+        foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in range(1_200)))
+    run_until(session, CAMERA, ODOMETRY)
+
+    (_, warning, counts), = session.counts()
+    assert (warning, counts['messages'], counts['rejected_wrong_frame']) == ('', 1_000, 200)
+
+
 def test_the_pose_of_a_sensor_may_be_a_parameter():
     session = session_of(**{'r1.sensor_pose': [0.2, 0.0, 0.5, *OPTICAL]})
 
@@ -315,6 +325,8 @@ def weighted(weight):
             5, 'r1/base_link', {'tag36h11:4': (0.0, 0.0, 0.0)}), 'out_of_range'),
         ('apriltag', foreign.april_tags(
             5, 'r1/base_link', {'tag36h11:4000000000': SEEN}), 'bad_id'),
+        ('marker_array', foreign.marker_array(
+            5, 'r1/base_link', {('n' * 300, 4): SEEN}), 'bad_id'),
         ('apriltag', raw('r1/tf', odometry_message(0)), 'bad_message'),
         ('apriltag', foreign.april_tags(
             5, 'r1/base_link', {f'tag36h11:{k}': SEEN for k in range(2_001)}), 'too_large'),
