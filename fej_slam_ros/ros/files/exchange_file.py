@@ -16,7 +16,7 @@ from pathlib import Path
 from fej_slam_ros.atomic_files import writing
 from fej_slam_ros.core.peers.logs import Block
 from fej_slam_ros.core.peers.messages import (
-    BlockMessage, MAX_SIZE, MessageRejectedError, read, write)
+    BlockMessage, MAX_SIZE, MessageRejectedError, read, TITLE, write)
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files.live_files import LiveWriter
@@ -96,10 +96,11 @@ class ExchangeFile:
         """Return the blocks, and the size of these; an incomplete one at the end is left out."""
         blocks: list[Block] = []
         at = 0
-        while at + SIZE_BYTES <= len(content):
+        while at < len(content):
             begin = at + SIZE_BYTES
             end = begin + int.from_bytes(content[at:begin], 'little')
-            if end - begin > MAX_SIZE:
+            # The file of another program may look incomplete, and must not be cut off.
+            if end - begin > MAX_SIZE or not TITLE.startswith(content[begin:end][:len(TITLE)]):
                 raise self._unusable('is damaged or no exchange_file')
             if end > len(content):
                 break

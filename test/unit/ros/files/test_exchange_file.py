@@ -71,6 +71,29 @@ def test_what_was_written_in_part_is_not_followed_by_other_blocks(tmp_path, monk
     assert blocks_in(path) == BLOCKS
 
 
+@pytest.mark.parametrize('size', [1, 100, 500, 536, 540])
+def test_an_incomplete_block_at_the_end_is_cut_off(tmp_path, size):
+    path = tmp_path / 'p.exchange'
+    with ExchangeFile(path, 'p') as file:
+        file.append(BLOCKS)
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-size])
+
+    assert blocks_in(path) == BLOCKS[:-1 if size <= len(whole) // len(BLOCKS) else -2]
+
+
+@pytest.mark.parametrize(
+    'content', [b'on\n', b'a text of another program\n', bytes([40, 0, 0, 0]) + b'its data'])
+def test_a_file_of_another_program_stays_as_it_is(tmp_path, content):
+    path = tmp_path / 'p.exchange'
+    path.write_bytes(content)
+
+    with pytest.raises(UserError, match='no exchange_file'):
+        ExchangeFile(path, 'p')
+
+    assert path.read_bytes() == content
+
+
 def test_in_a_live_run_what_a_broken_disk_does_not_take_waits_and_is_reported(
     tmp_path, monkeypatch
 ):
