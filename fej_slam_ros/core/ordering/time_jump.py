@@ -161,10 +161,18 @@ class TimeJumpDetector:
         return round((settings.max_delay + settings.stale_after) * NS)
 
     def _is_backward(self, record: TimedRecord) -> bool:
-        """Return whether a record is far behind its source or, once back, its robot's odometry."""
-        return self._is_behind(record.stamp, _source(record)) or (
-            record.robot in self._backward
-            and self._is_behind(record.stamp, (record.robot, Odometry)))
+        """
+        Return whether a record is far behind its source, or behind other robots that went back.
+
+        A robot that is only heard from in a second pass has no stamps of the first.
+
+        """
+        begin = min((back.begin for back in self._backward.values()), default=record.stamp)
+        return (
+            begin - record.stamp > self._limit
+            or self._is_behind(record.stamp, _source(record))
+            or (record.robot in self._backward
+                and self._is_behind(record.stamp, (record.robot, Odometry))))
 
     def _is_behind(self, stamp: int, source: Source) -> bool:
         """Return whether a stamp is far behind a source."""
@@ -201,10 +209,12 @@ class TimeJumpDetector:
 
     def _detect(self) -> None:
         """Set the jump if all robots went back, or some did for long while others are silent."""
-        robots = [robot for robot, kind in self._newest if kind is Odometry]
-        back = [odometry for odometry in self._backward.values() if odometry.is_certain()]
-        if len(back) < len(robots) and all(
-                odometry.last - odometry.first <= MAX_WAIT_FOR_OTHERS for odometry in back):
+        robots = {robot for robot, kind in self._newest if kind is Odometry}
+        back = {robot: odometry for robot, odometry in self._backward.items()
+                if odometry.is_certain()}
+        if not robots <= back.keys() and all(
+                odometry.last - odometry.first <= MAX_WAIT_FOR_OTHERS
+                for odometry in back.values()):
             return
         now = self._time()
         pending = self._newest.keys() - {_source(record) for record, _ in self._held}
@@ -212,7 +222,7 @@ class TimeJumpDetector:
             for record, _ in self._held:
                 self._reject(record, RejectionReason.AFTER_TIME_JUMP)
             self._held.clear()
-        first = min(odometry.first for odometry in back)
+        first = min(odometry.first for odometry in back.values())
         self.jump = TimeJump(now - first, now, frozenset(pending), self._held)
         self._held = []
 

@@ -29,15 +29,15 @@ def later(messages, seconds=10.0):
     return [replace(m, received=m.received + round(seconds * NS)) for m in messages]
 
 
-def runs_of(messages, **options):
+def runs_of(messages, *names, **options):
     """Return the runs that messages give, all of them closed."""
-    runs = [EstimatorSession(run_settings(**options), None)]
+    runs = [EstimatorSession(run_settings(*names, **options), None)]
     for message in messages:
         runs[-1].receive(message)
         list(runs[-1].take())
         if runs[-1].inputs.time_jump_detector.has_ended_run():
             list(runs[-1].close())
-            runs.append(EstimatorSession(run_settings(**options), None))
+            runs.append(EstimatorSession(run_settings(*names, **options), None))
             runs[-1].continue_from(runs[-2])
     list(runs[-1].close())
     return runs
@@ -81,6 +81,23 @@ def test_a_second_pass_longer_than_the_first_is_not_mixed_with_it():
 
     assert hashes([rejected]) == hashes([ended]) == hashes(runs_of(first))
     assert hashes([begun]) == [HASH]
+
+
+@pytest.mark.parametrize('sends_first', [False, True])
+def test_a_second_pass_with_a_new_robot_is_not_mixed_with_the_first(sends_first):
+    team = ('r1', 'r2', 'r3')
+    first = [m for m in PASS if m.received <= 3000 * MS]
+    second = sorted(
+        [*PASS, *(raw_record(odometry('r3', 100 * k, (0.0, 0.0, 0.0))) for k in range(41))],
+        key=lambda m: (m.received, m.topic.startswith('r3') != sends_first))
+
+    ended, begun = runs_of([*first, *later(second)], *team, on_time_jump='reset')
+
+    expected, = runs_of(first, *team)
+    for name in 'r1', 'r2':
+        assert ended.estimator.used(name) == expected.estimator.used(name)
+    # What it sent before the others have gone back is of the first.
+    assert hashes([begun]) == hashes(runs_of(second[sends_first:], *team))
 
 
 def test_a_jump_of_the_clock_of_reception_has_no_effect():
