@@ -82,6 +82,11 @@ class Detector:
         self.rejected: Counter[RejectedSegment] = Counter()
         self.scans = self.without_odometry = self.lost = self.restarts = self.late_odometry = 0
 
+    @property
+    def waiting(self) -> int:
+        """Return the number of scans that wait for odometry or for the processor."""
+        return len(self._waiting)
+
     def add_odometry(self, record: Odometry) -> None:
         """Add odometry; a record that is not newer than all before is counted and ignored."""
         before = self._stamps[-1] if self._stamps else None

@@ -2,14 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node detector publishes what `detect` writes, bit for bit."""
 
+from itertools import repeat
 import signal
+from types import MappingProxyType
 
+import numpy as np
 import pytest
 
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import outgoing
 from helpers.optional import optional
 from helpers.ros import run_verb, write_parameters
 
+front_end = optional('fej_slam_ros.ros.nodes.front_end')
 live_helpers = optional('helpers.live')
 process = optional('fej_slam_ros.ros.nodes.ros_process')
 
@@ -48,6 +53,33 @@ def test_a_sensor_that_falls_silent_is_a_warning(tmp_path):
             domain.until(lambda: len(reports) > before)  # noqa: B023
 
         domain.until(lambda: 'its scans have stopped' in reports[-1].status[0].message)
+
+
+class EndlessFrontEnd:
+    """A front end that always has something to publish."""
+
+    robots, topics = (), MappingProxyType({})
+    outputs = MappingProxyType(
+        {'r1/landmarks': CLOUD, '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'})
+
+    def take(self, is_wanted):
+        return self.close()
+
+    def close(self):
+        return repeat(('r1/landmarks', outgoing.detections(
+            0, 'r1/base_link', [], np.empty((0, 2)), np.empty((0, 2, 2)))))
+
+
+def test_work_without_end_delays_neither_messages_nor_the_end_of_a_node():
+    with live_helpers.Domain() as domain:
+        domain.node.get_logger()
+        node = front_end.FrontEndNode('front_end')
+        node.start(EndlessFrontEnd(), {}, {})
+
+        node.work()
+        assert node.is_behind
+        node.close()
+        node.destroy_node()
 
 
 def test_reports_name_the_namespace_and_a_missing_clock():

@@ -2,8 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that compute observations of landmarks from data of sensors, and their loop."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import chain
 from time import monotonic
 
 from rclpy.clock import Clock
@@ -19,8 +20,8 @@ from fej_slam_ros.ros.nodes.clock_watch import NO_CLOCK
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
 from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
 from fej_slam_ros.ros.nodes.ros_process import (
-    check_topic_names, debian_package, descriptor, is_installed, message_class, ParameterNode,
-    ros, wait_for_arrival)
+    check_topic_names, debian_package, descriptor, is_installed, MAX_LAST_STEPS_TIME,
+    message_class, ParameterNode, ros, wait_for_arrival)
 from fej_slam_ros.ros.nodes.topics import front_end_qos, input_qos
 from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES, Value
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
@@ -33,8 +34,9 @@ from fej_slam_ros.ros.session.outputs import Publication
 REPORT_PERIOD = 1.0
 #: Number of reports that have the same warning before it is logged.
 PATIENCE = 5
-#: Longest time [s] for which messages are added before they are processed.
-MAX_SPIN_TIME = 1.0
+#: Longest time [s] for which messages are added before they are processed, and for which they are
+#: processed before others are added.
+MAX_SPIN_TIME, MAX_WORK_TIME = 0.1, 0.05
 #: Number of rounds of the executor without a message after which none is left.
 EMPTY_ROUNDS = 3
 
@@ -54,7 +56,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], 'FrontEndNode']) -> in
 
 def _serve(node: 'FrontEndNode', executor: Executor) -> None:
     """Add all messages that have arrived, then process them."""
-    executor.spin_once(SPIN_TIMEOUT)
+    executor.spin_once(0.0 if node.is_behind else SPIN_TIMEOUT)
     empty, give_up = 0, monotonic() + MAX_SPIN_TIME
     while empty < EMPTY_ROUNDS and monotonic() < give_up:
         before = node.received
@@ -83,6 +85,13 @@ class FrontEndNode(ParameterNode):
         self._used: dict[str, tuple[int, int]] = {}
         self._qos = QosWatch(self)
         self.received = 0
+        # What is to be published, as far as it was not yet computed.
+        self._due: Iterator[Publication] | None = None
+
+    @property
+    def is_behind(self) -> bool:
+        """Return whether more is due to be published."""
+        return self._due is not None
 
     def start(
         self, front_end: FrontEnd, values: Mapping[str, Value], known: Mapping[str, Parameter]
@@ -111,13 +120,16 @@ class FrontEndNode(ParameterNode):
             REPORT_PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def work(self) -> None:
-        """Publish what needs no further messages."""
-        self._publish(self._front_end.take(
-            lambda topic: bool(self._outputs[topic].get_subscription_count())))
+        """Publish what needs no further messages, for a limited time."""
+        self._due = self._due or self._front_end.take(
+            lambda topic: bool(self._outputs[topic].get_subscription_count()))
+        if self._publish_until(monotonic() + MAX_WORK_TIME, self._due):
+            self._due = None
 
     def close(self) -> None:
-        """Publish what is left, and wait until it has arrived."""
-        self._publish(self._front_end.close())
+        """Publish what is left, for a limited time, and wait until it has arrived."""
+        left = chain(self._due or (), self._front_end.close())
+        self._publish_until(monotonic() + MAX_LAST_STEPS_TIME, left)
         wait_for_arrival(self._outputs.values())
 
     def _subscribe(self, topic: str, type_name: str) -> None:
@@ -134,9 +146,13 @@ class FrontEndNode(ParameterNode):
         self._front_end.receive(RawMessage(topic, type_name, received, raw))
         self.received += 1
 
-    def _publish(self, publications: Iterable[Publication]) -> None:
+    def _publish_until(self, end: float, publications: Iterable[Publication]) -> bool:
+        """Publish until a time of `monotonic`; return whether that was all."""
         for topic, message in publications:
             self._outputs[topic].publish(serialize(message))
+            if monotonic() > end:
+                return False
+        return True
 
     def _report(self) -> None:
         now = self.get_clock().now().nanoseconds
@@ -146,7 +162,8 @@ class FrontEndNode(ParameterNode):
             (robot, missing or self._problem_of(robot, incompatible) or warning
              or self._silence(robot, values), values)
             for robot, warning, values in self._front_end.counts()]
-        self._publish([report(self.get_fully_qualified_name().lstrip('/'), counts, now)])
+        topic, message = report(self.get_fully_qualified_name().lstrip('/'), counts, now)
+        self._outputs[topic].publish(serialize(message))
         for robot, warning, _ in counts:
             before, reports = self._warnings.get(robot, ('', 0))
             reports = reports + 1 if warning == before else 1

@@ -3,8 +3,9 @@
 """One run of the detector, live or from a bag: scans and odometry in, landmarks out."""
 
 from collections import Counter, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 import math
 
 import numpy as np
@@ -27,6 +28,9 @@ from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 LASER_SCAN = 'sensor_msgs/msg/LaserScan'
 #: Number of radii that are stored for each robot.
 MAX_RADII = 1_000
+#: Number of waiting scans above which the processor is too slow: no laser sends so many in the
+#: second for which a scan waits for odometry.
+MANY_WAITING = 500
 
 
 class _RobotDetector:
@@ -95,17 +99,25 @@ class DetectorSession:
         """
         Yield what is to be published of the scans that wait for no more odometry.
 
+        The robots take turns, so that many scans of one of them do not delay those of others.
+
         All messages that have arrived must have been added: a later scan shows that odometry of an
         earlier one is missing. Markers are left out where they are not wanted.
 
         """
-        for name, state in self._detectors.items():
-            yield from self._published(name, state.detector.take(), is_wanted)
+        is_more = True
+        while is_more:
+            is_more = False
+            for name, state in self._detectors.items():
+                for scan, landmarks in islice(state.detector.take(), 1):
+                    is_more = True
+                    yield from self._published(name, scan, landmarks, is_wanted)
 
     def close(self) -> Iterator[Publication]:
         """Yield what is to be published of the last scans at the end of the input."""
         for name, state in self._detectors.items():
-            yield from self._published(name, state.detector.close(), lambda _: True)
+            for scan, landmarks in state.detector.close():
+                yield from self._published(name, scan, landmarks, lambda _: True)
 
     def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
         """Yield each robot, a warning or '', and the counts of its scans and landmarks."""
@@ -167,24 +179,26 @@ class DetectorSession:
             raise ScanFaultError(ScanFault.TILTED) from None
 
     def _published(
-        self, name: str, found: Iterable[tuple[StampedScan, Detections]], is_wanted: IsWanted
+        self, name: str, scan: StampedScan, landmarks: Detections, is_wanted: IsWanted
     ) -> Iterator[Publication]:
-        state = self._detectors[name]
-        for scan, landmarks in found:
-            frame, C = scan.frame, rotation(scan.mount[2])
-            points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
-            state.landmarks += len(points)
-            self.radii[name].extend(landmarks.radii.tolist())
-            yield f'{name}/landmarks', outgoing.detections(
-                scan.end, frame, [NO_ID] * len(points), points, R)
-            if is_wanted(f'{name}/detection_markers'):
-                yield f'{name}/detection_markers', markers.detection_markers(
-                    scan.end, frame, points, R, landmarks.radii)
+        state, frame, C = self._detectors[name], scan.frame, rotation(scan.mount[2])
+        points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
+        state.landmarks += len(points)
+        self.radii[name].extend(landmarks.radii.tolist())
+        yield f'{name}/landmarks', outgoing.detections(
+            scan.end, frame, [NO_ID] * len(points), points, R)
+        if is_wanted(f'{name}/detection_markers'):
+            yield f'{name}/detection_markers', markers.detection_markers(
+                scan.end, frame, points, R, landmarks.radii)
 
 
 def _warning(name: str, state: _RobotDetector) -> str:
     """Return what users have to know of a robot, '' if all is well."""
     detector = state.detector
+    if detector.waiting > MANY_WAITING:
+        return (
+            f'{detector.waiting} scans wait, as they come faster than they are processed: lower'
+            ' their rate or their number of beams')
     if state.faults and not detector.scans:
         fault, _ = state.faults.most_common(1)[0]
         return f'all scans are rejected as {fault.value}'

@@ -70,10 +70,17 @@ class ObjectQueue:
             self._drop(next(iter(self._waiting)))
 
     def take(self) -> Iterator[tuple[str, Array, ObjectScan]]:
-        """Yield the scans whose sensor is known: the robot, the pose (4, 4) on it, the scan."""
-        for origin in [*self._waiting]:
+        """
+        Yield the scans whose sensor is known: the robot, the pose (4, 4) on it, the scan.
+
+        Of scans that are added meanwhile, none delays those of other frames.
+
+        """
+        for origin, scans in [*self.waiting().items()]:
             robot = self.owner(origin)
-            while robot and origin in self._waiting:
+            for _ in range(scans if robot else 0):
+                if origin not in self._waiting:
+                    break
                 sensor = self._sensor(
                     robot, origin.frame, self._waiting[origin][0].sensor_pose)
                 if sensor is None:

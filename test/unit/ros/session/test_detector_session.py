@@ -125,15 +125,30 @@ def test_radius_limits_that_fit_nothing_are_named():
     assert warning == 'no landmark so far, most segments are rejected as radius'
 
 
-def test_scans_that_wait_for_odometry_are_bounded():
+def test_scans_that_wait_for_odometry_are_bounded_and_named():
     session, few = session_of(), scan_of([], beams=16)
     for k in range(2_500):
         # At 10 kHz, so that no scan is a second old.
         record = RobotLaserScan('r1', k * 10**5, few)
         session.receive(raw('r1/scan', outgoing.laser_scan(record)))
 
-    (_, _, counts), = session.counts()
+    (_, warning, counts), = session.counts()
     assert (counts['scans'], counts['scans_lost']) == (0, 500)
+    assert warning.startswith('2000 scans wait, as they come faster than they are processed')
+
+
+def test_many_scans_of_one_robot_do_not_delay_those_of_another():
+    session, few = session_of(robots=['r1', 'r2']), scan_of([], beams=16)
+    for robot, scans in ('r1', 100), ('r2', 1):
+        for k in range(scans):
+            record = RobotLaserScan(robot, k * 10**6, few)
+            session.receive(raw(f'{robot}/scan', outgoing.laser_scan(record)))
+        for ms in 0, 1000:
+            session.receive(raw(f'{robot}/odom', odometry_message(ms)))
+
+    topics = [topic for topic, _ in session.take(lambda _: False)]
+
+    assert topics == ['r1/landmarks', 'r2/landmarks', *['r1/landmarks'] * 99]
 
 
 def test_diagnostics_have_the_counts_of_each_robot():
