@@ -21,16 +21,16 @@ from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
 from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
 from fej_slam_ros.ros.parameters import (
-    adapter_settings, declared_parameters, ESTIMATOR, known_parameters, NodeSettings,
-    QOS_POLICIES, RENAMED_PARAMETERS, SMOOTHER)
+    adapter_settings, declared_parameters, ESTIMATOR, known_parameters, NodeSettings, QOS_POLICIES,
+    RENAMED_PARAMETERS, SMOOTHER)
 from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
 from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.ros.session.estimator_outputs import relative_topic
 from fej_slam_ros.ros.session.frames import STATIC_TF
 from fej_slam_ros.ros.session.inputs import (
     CLOUD, INITIALPOSE, ROBOT_TOPICS, TF_TYPE, TRUE_LANDMARKS)
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
-from fej_slam_ros.ros.session.outputs import (
-    relative_topic, ROBOT_TYPES, TF_TOPIC, tf_topic, TYPES)
+from fej_slam_ros.ros.session.outputs import ROBOT_TYPES, TF_TOPIC, tf_topic, TYPES
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE
 from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 

@@ -15,7 +15,7 @@ from fej_slam_ros.core.records import NS, Scan
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
+from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.percentiles import percentiles
 

@@ -13,8 +13,8 @@ from fej_slam_ros.cli import offline_run
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.cli.topic_options import node_names
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs, NoOutputs
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.outputs import EstimatorOutputs, NoOutputs
 
 add_arguments = offline_run.add_arguments
 

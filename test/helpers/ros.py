@@ -22,6 +22,7 @@ from fej_slam_ros.ros.files import bags, checksums
 from fej_slam_ros.ros.messages import incoming, outgoing, RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.log_lines import LogSeverity
 from helpers.records import MS, odometry, scan, team
 
 TYPES = get_typestore(Stores.ROS2_JAZZY)
@@ -200,6 +201,13 @@ def run_bag(bag):
     run = EstimatorSession(parameters.load(bag.with_suffix('.yaml')), None)
     drive(run, bags.read(bag))
     return run
+
+
+def log_texts(run):
+    """Return the new lines of the log of a run from INFO on, without those of first data."""
+    return [
+        text for severity, text in run.log.take()
+        if severity is not LogSeverity.DEBUG and not text.startswith('first data')]
 
 
 def write_bag(path, messages, storage='mcap'):

@@ -8,7 +8,7 @@ import pytest
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
+from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import with_scaled_noise
 from helpers.ros import raw_record, run_settings, through_cdr

@@ -10,7 +10,7 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
-from fej_slam_ros.ros.session.diagnostics import NIS_ERROR
+from fej_slam_ros.ros.session.estimator_diagnostics import NIS_ERROR
 
 #: Upper bounds of the share of observations that fail the gate, for a consistent robot and for one
 #: whose pose may be correct; 0.1 % of correct observations fail.

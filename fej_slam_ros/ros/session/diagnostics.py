@@ -1,22 +1,17 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics (REP-107): state of each robot, of the filter or smoother, and of the topics."""
+"""Diagnostics (REP-107): input of each robot, quality of service, files, and their report."""
 
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from types import MappingProxyType
 from typing import Generic
 
 import numpy as np
 from rosbags.typesys.stores.ros2_jazzy import (
     diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
 
-from fej_slam_ros.core.consistency import NisMonitor
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, QOS_OVERRIDES
@@ -28,11 +23,6 @@ from fej_slam_ros.ros.session.percentiles import percentiles
 
 #: Maximum number of durations stored between two reports: ten seconds of steps at 1 kHz.
 MAX_TIMES = 10_000
-#: NIS is reported when it has been outside its probability band for this time [ns]; a single
-#: outlier has a shorter effect.
-NIS_PATIENCE = 5 * NS
-#: Ratio of NIS to its expectation, or the inverse, above which it is an error, not a warning.
-NIS_ERROR = 4.0
 
 #: Per policy, the value that a publisher offers and the one that a subscription requests where
 #: the two are incompatible.
@@ -253,141 +243,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
             '; '.join(self.file_errors.values()) or 'no error', self.file_errors)
 
 
-class EstimatorDiagnostics(Diagnostics[Estimator]):
-    """Reports on an estimator and its inputs."""
-
-    node_name = 'estimator'
-
-    def _values_of(self, robot: str) -> dict[str, object]:
-        nis = self._consumer.innovations.nis[robot]
-        low, high = nis.band()
-        without_ids = self._consumer.landmark_manager.counts.get(robot, Counter())
-        return {
-            'nis': round(nis.total, 3),
-            'nis_dof': nis.dof,
-            'nis_ratio': round(nis.nis_per_dof(), 3),
-            'nis_band': f'{low:.3f}..{high:.3f}',
-            **self._clock_values(robot),
-            **{f'unnamed_{event}': n for event, n in without_ids.items()},
-            **self._errors(robot),
-        }
-
-    def _errors(self, robot: str) -> dict[str, float]:
-        """Return RMSE and NEES of a robot's poses, empty without ground truth."""
-        score = self._consumer.evaluation.scores.get(robot)
-        if score is None:
-            return {}
-        nees = {'nees': score.mean_nees_per_dof(), 'nees_latest': score.latest_nees_per_dof}
-        return {
-            'position_rmse_m': round(score.position_rmse(), 6),
-            'heading_rmse_rad': round(score.heading_rmse(), 6),
-            **{name: round(value, 3) for name, value in nees.items() if value is not None},
-        }
-
-    def _needs_observations(self, robot: str) -> bool:
-        return self._is_before_step_0(robot) or robot in self._consumer.groups.not_in_map
-
-    def _is_before_step_0(self, robot: str) -> bool:
-        estimator = self._consumer
-        return robot == estimator.settings.anchor and not estimator.groups.is_initialized
-
-    def _state_of(self, robot: str) -> tuple[int, str]:
-        nis = self._consumer.innovations.nis[robot]
-        level, message = _consistency(nis)
-        lost = self._consumer.innovations.lost_robots.reason(robot)
-        if lost:
-            # Covariances that are far too small are a cause, too.
-            is_overconfident = level > DiagnosticStatus.OK and nis.nis_per_dof() > 1.0
-            cause = f'; {message}' if is_overconfident else ''
-            return DiagnosticStatus.ERROR, f'likely lost: {lost}{cause}'
-        not_joined = self._consumer.groups.not_in_map.get(robot)
-        if not_joined:
-            return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
-        if self._is_before_step_0(robot):
-            return DiagnosticStatus.OK, f'in {MAP}; no landmark observed yet'
-        return level, message
-
-    def _overall(self, now: int, at_rest: bool) -> Message:
-        estimator = self._consumer
-        state = {'state_hash': estimator.state_hash()} if at_rest else {}
-        moved = [
-            f'{robot}:{id_}' if robot else str(id_)
-            for robot, id_ in estimator.groups.moved_landmarks()]
-        if moved:
-            state['moved_landmarks'] = ', '.join(moved)
-        warnings = ['landmarks were moved'] if moved else []
-        team = estimator.groups.team.state
-        confirmed = len(team.confirmed_landmarks())
-        return self._status('filter', now, warnings, {
-            'filter': estimator.settings.filter,
-            'robots': len(team.robots),
-            'landmarks': confirmed,
-            'provisional_landmarks': len(team.landmarks) - confirmed,
-            'steps': len(self.step_times),
-            **_percentiles('step', self.step_times),
-            **_percentiles('latency', self.latencies),
-            **state,
-        })
-
-
-class SmootherDiagnostics(Diagnostics[TeamSmoother]):
-    """Reports on a smoother and its inputs."""
-
-    node_name = 'smoother'
-    solve_time = 0.0  #: duration of the last solution [s]
-    solver_restarts = 0  #: number of worker processes that have died, set by the caller
-    solver_fault = ''  #: how the last one died, '' after the next solution, set by the caller
-    #: why the last solution of robots failed, by name, set by the caller
-    failed: Mapping[str, str] = MappingProxyType({})
-
-    def _needs_observations(self, robot: str) -> bool:
-        return robot in self._consumer.not_in_map()
-
-    def _state_of(self, robot: str) -> tuple[int, str]:
-        team = self._consumer
-        trajectory = team.trajectories.get(robot)
-        error = (
-            (trajectory and trajectory.error) or team.solution.unsolved.get(robot)
-            or self.failed.get(robot))
-        if error:
-            return DiagnosticStatus.ERROR, f'not smoothed: {error}'
-        not_joined = team.not_in_map().get(robot)
-        if not_joined:
-            return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
-        return DiagnosticStatus.OK, f'in {MAP}'
-
-    def _values_of(self, robot: str) -> dict[str, object]:
-        return {'steps': self._consumer.steps[robot], **self._clock_values(robot)}
-
-    def _overall(self, now: int, at_rest: bool) -> Message:
-        team, trajectories = self._consumer, self._consumer.trajectories.values()
-        state = {'state_hash': team.state_hash()} if at_rest else {}
-        warnings = [self.solver_fault] if self.solver_fault else []
-        return self._status('smoother', now, warnings, {
-            'robots': sum(trajectory.frame == MAP for trajectory in trajectories),
-            'landmarks': team.solution.landmarks_in_map(),
-            'poses': sum(len(trajectory.stamps) for trajectory in trajectories),
-            'poses_since_solution': team.new_poses,
-            'solve_time_s': round(self.solve_time, 6),
-            'solver_restarts': self.solver_restarts,
-            'steps': len(self.step_times),
-            **_percentiles('step', self.step_times),
-            **_percentiles('hold', self.callback_times),
-            **state,
-        })
-
-
-def _percentiles(quantity: str, times: Collection[float]) -> dict[str, float]:
+def percentile_values(quantity: str, times: Collection[float]) -> dict[str, float]:
+    """Return the values of a status for the percentiles of measured times [s]."""
     values = asdict(percentiles(np.array([*times])))
     return {f'{name}_{quantity}_s': round(value, 6) for name, value in values.items()}
-
-
-def _consistency(nis: NisMonitor) -> tuple[int, str]:
-    """Return level and message of a robot in ``map`` by its NIS."""
-    if nis.outside_for < NIS_PATIENCE:
-        return DiagnosticStatus.OK, 'in map'
-    ratio = nis.nis_per_dof()
-    over = ratio > 1.0
-    factor = ratio if over else 1.0 / max(ratio, 1e-9)
-    level = DiagnosticStatus.ERROR if factor >= NIS_ERROR else DiagnosticStatus.WARN
-    return level, f'{"over" if over else "under"}confident by a factor of {factor:.1f}'

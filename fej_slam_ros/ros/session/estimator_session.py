@@ -21,12 +21,12 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.run_files import RunFiles, summary
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import ParameterChange, RunSettings
-from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
+from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
+from fej_slam_ros.ros.session.estimator_log import EstimatorLog
+from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs, map_estimates
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
-from fej_slam_ros.ros.session.outputs import (
-    EstimatorOutputs, IsWanted, map_estimates, Publication, rejections)
-from fej_slam_ros.ros.session.run_log import EstimatorLog
+from fej_slam_ros.ros.session.outputs import IsWanted, Publication, rejections
 from fej_slam_ros.ros.session.session import FilesOpener, Session
 
 

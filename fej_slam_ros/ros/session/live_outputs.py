@@ -11,8 +11,9 @@ from fej_slam_ros.core.prediction import PosePredictor
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.inputs import Inputs, ODOMETRY, POSE_WITH_COVARIANCE
-from fej_slam_ros.ros.session.outputs import EstimatorOutputs, IsWanted, Publication
+from fej_slam_ros.ros.session.outputs import IsWanted, Publication
 
 #: Types of the topics of each robot with predicted poses.
 PREDICTED_TYPES = {'predicted_pose': POSE_WITH_COVARIANCE, 'odometry/filtered': ODOMETRY}

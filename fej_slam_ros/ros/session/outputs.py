@@ -3,15 +3,14 @@
 """Estimates to messages on topics, for live topics and bags."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from itertools import count
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.estimates import PoseEstimate, StepResult
+from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
@@ -54,27 +53,6 @@ StampedPoses = Sequence[tuple[int, Array]]
 ConsumerT = TypeVar('ConsumerT', bound=Estimator | TeamSmoother)
 
 
-@dataclass(slots=True)
-class ThinnedPath:
-    """The trajectory of one robot in one frame, thinned evenly to at most `MAX_PATH` poses."""
-
-    frame: str
-    poses: list[tuple[int, Array]] = field(default_factory=list)
-    _stride: int = 1
-    _skipped: int = 0
-
-    def add(self, stamp: int, pose: Array) -> None:
-        """Append a pose."""
-        self._skipped += 1
-        if self.poses and self._skipped < self._stride:
-            return
-        self._skipped = 0
-        self.poses.append((stamp, pose))
-        if len(self.poses) > MAX_PATH:
-            del self.poses[1::2]
-            self._stride *= 2
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MapEstimate:
     """The landmarks of one frame."""
@@ -85,21 +63,6 @@ class MapEstimate:
     keys: list[tuple[LandmarkKey, ...]]
     points: Array  #: (n, 2) array, positions [m]
     P: Array  #: (n, 2, 2) array, their covariances [m^2]
-
-
-def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
-    """Yield the map of each frame, ``map`` first; IDs are counted unless robots share them."""
-    own_ids = count(1)
-    shared = estimator.settings.shared_landmark_ids
-    for of_frame in estimator.maps():
-        ids = [id_ if shared else next(own_ids) for _, id_ in of_frame.keys]
-        yield MapEstimate(
-            of_frame.frame, ids, [(key,) for key in of_frame.keys], of_frame.points, of_frame.P)
-
-
-def relative_topic(observer: str, observed: str) -> str:
-    """Return the topic of the pose of one robot in the base frame of another."""
-    return f'{observer}/relative_pose/{observed}'
 
 
 def tf_topic(robot: str) -> str:
@@ -241,82 +204,6 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     def _stamp(self) -> int:
         return max(estimate.stamp for estimate in self._newest().values())
-
-
-class EstimatorOutputs(Outputs[Estimator]):
-    """
-    Converts results of an estimator to messages.
-
-    Parameters
-    ----------
-    estimator : whose results are published
-    inputs, settings : as for all `Outputs`
-
-    """
-
-    def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
-        super().__init__(estimator, inputs, settings, settings.publish_tf)
-        self._pairs = settings.relative_pairs()
-        self._paths: dict[str, ThinnedPath] = {}
-        self._latest: dict[str, PoseEstimate] = {}
-
-    @property
-    def topics(self) -> dict[str, str]:
-        """Return the types of the topics published for the present team, by topic."""
-        return super().topics | {
-            relative_topic(*pair): ROBOT_TYPES['pose'] for pair in self._pairs}
-
-    def remove_robot(self, robot: str) -> None:
-        """Publish no more paths and markers of a robot that was removed."""
-        self._paths.pop(robot, None)
-        self._latest.pop(robot, None)
-
-    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
-        """Yield the messages of a step: the poses always, others if their topics are wanted."""
-        for estimate in result.poses:
-            self._append(estimate)
-            yield self.of_pose(estimate)
-        for pair in self._pairs:
-            if not result.odometry.keys().isdisjoint(pair):
-                relative = self._consumer.relative_pose(*pair)
-                if relative is not None:
-                    yield relative_topic(*pair), outgoing.relative_pose(
-                        relative, self._frames.base(relative.observer), self.unused_variance)
-        yield from self._step_transforms(result, is_wanted)
-        if result.joined and is_wanted(JOINT_COVARIANCE_TOPIC):
-            yield JOINT_COVARIANCE_TOPIC, outgoing.joint_covariance(
-                result.joined, self._consumer.joint_covariance())
-
-    def predictions(self, is_wanted: IsWanted) -> Iterable[Publication]:
-        """Return the messages of predicted poses, which only a live run has."""
-        return ()
-
-    def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
-        return self._transforms(result.poses, result.odometry, is_wanted)
-
-    def _append(self, estimate: PoseEstimate) -> None:
-        path = self._paths.get(estimate.robot)
-        if path is None or path.frame != estimate.frame:
-            path = self._paths[estimate.robot] = ThinnedPath(estimate.frame)
-        path.add(estimate.stamp, estimate.pose)
-        self._latest[estimate.robot] = estimate
-
-    def _newest(self) -> Mapping[str, PoseEstimate]:
-        return self._latest
-
-    def _path(self, robot: str) -> StampedPoses:
-        return self._paths[robot].poses
-
-    def _maps(self) -> Iterator[MapEstimate]:
-        return map_estimates(self._consumer)
-
-
-class NoOutputs(EstimatorOutputs):
-    """Of a run whose results only go to files."""
-
-    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
-        """Return no message."""
-        return iter(())
 
 
 def rejections(statistics: InputStatistics) -> Iterator[Publication]:

@@ -16,11 +16,12 @@ from fej_slam_ros.core.peers.messages import MessageRejection
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import RendezvousResult
 from fej_slam_ros.ros.messages import Message, outgoing
-from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.session.input_faults import Fault, Level
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogSeverity
-from fej_slam_ros.ros.session.run_log import Missing, SmootherLog
+from fej_slam_ros.ros.session.run_log import Missing
+from fej_slam_ros.ros.session.smoother_diagnostics import SmootherDiagnostics
+from fej_slam_ros.ros.session.smoother_log import SmootherLog
 
 #: What users have to know of each rejection.
 EXPLANATIONS = {

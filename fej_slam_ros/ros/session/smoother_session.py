@@ -25,12 +25,12 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
-from fej_slam_ros.ros.session.diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages
 from fej_slam_ros.ros.session.outputs import Publication, rejections
-from fej_slam_ros.ros.session.run_log import SmootherLog
 from fej_slam_ros.ros.session.session import FilesOpener, Session
+from fej_slam_ros.ros.session.smoother_diagnostics import SmootherDiagnostics
+from fej_slam_ros.ros.session.smoother_log import SmootherLog
 from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
 
 

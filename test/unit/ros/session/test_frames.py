@@ -12,10 +12,10 @@ from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, parse
+from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.live_outputs import LiveOutputs
-from fej_slam_ros.ros.session.outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.records import odometry, team
 from helpers.ros import (

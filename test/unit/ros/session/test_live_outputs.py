@@ -9,9 +9,9 @@ import pytest
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.live_outputs import LiveOutputs
-from fej_slam_ros.ros.session.outputs import EstimatorOutputs
 from helpers.records import MS, odometry
 from helpers.ros import (
     drive, header, LANDMARKS, meeting, odometry_message, raw, raw_record, run_settings, seen,

@@ -10,7 +10,7 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.files.run_files import summary
-from fej_slam_ros.ros.session.diagnostics import EstimatorDiagnostics
+from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, robot_scan, scan
 from helpers.ros import (

@@ -9,8 +9,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.ros.session.estimator_outputs import ThinnedPath
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.outputs import MAX_PATH, rejections, ThinnedPath
+from fej_slam_ros.ros.session.outputs import MAX_PATH, rejections
 from helpers.records import MS, odometry, scan
 from helpers.ros import drive, LANDMARKS, meeting, R2_START, raw_record, run_settings, through_cdr
 

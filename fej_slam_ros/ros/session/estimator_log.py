@@ -1,0 +1,171 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Log of a run of the estimator: joins, restarts, and lost robots and landmarks."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.estimates import StepResult
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.log_lines import LogSeverity
+from fej_slam_ros.ros.session.run_log import Missing, RunLog
+
+
+class EstimatorLog(RunLog[Estimator]):
+    """The log of one run of an estimator."""
+
+    def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
+        super().__init__(estimator, inputs)
+        self._lost: set[str] = set()
+        self._moved: set[tuple[object, ...]] = set()
+        self._relocalized = estimator.statistics.relocalized.copy()
+        self._restarted: list[str] = []
+        self._was_initialized = estimator.groups.is_initialized
+        self._members = self._present_members()
+        self._frames = _frames_of(self._members)
+        self._states = self._present_states()
+
+    def description(self) -> str:
+        """Return the team and its filter in a few words."""
+        return f'{super().description()}; filter {self._consumer.settings.filter}'
+
+    def add_step(self, result: StepResult) -> None:
+        """Add the lines of a step."""
+        self._note_first_messages()
+        self._note_step_0(result)
+        self._note_restarts()
+        members = self._present_members()
+        if members != self._members or self._restarted:
+            frames = _frames_of(members)
+            self._note_frames(frames)
+            self._members, self._frames = members, frames
+            self._states = self._present_states()
+        if not self._was_initialized:
+            # Step 0 replaces a state also where no other robot joins.
+            self._states = self._present_states()
+        for pose in result.poses:
+            self._note_lost(pose.robot)
+        priors = self._inputs.health.pose_priors
+        for robot in [robot for robot in priors if robot in result.odometry]:
+            self._note_priors(robot, result.stamp)
+        self._was_initialized = self._consumer.groups.is_initialized
+
+    def add_rejections(self, rejections: Iterable[Rejection]) -> None:
+        """Add the lines of moved landmarks."""
+        settings = self._consumer.settings
+        for rejected in rejections:
+            if rejected.reason is RejectionReason.MOVED_LANDMARK:
+                owner = '' if settings.shared_landmark_ids else rejected.robot
+                is_forgotten = settings.moved_landmarks == 'forget'
+                key = owner, rejected.id, rejected.stamp if is_forgotten else 0
+                if key not in self._moved:
+                    self._moved.add(key)
+                    self.add(LogSeverity.WARN, (
+                        f'landmark {rejected.id}{owner and f" of {owner}"} was moved: '
+                        + ('it starts again where it is observed next' if is_forgotten
+                           else 'its observations are rejected')))
+
+    def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:
+        estimator = self._consumer
+        anchor = estimator.settings.anchor
+        is_anchor_heard = self._inputs.health.flow(anchor, 'odom').received > 0
+        if is_anchor_heard and not estimator.groups.is_initialized:
+            yield Missing(f'a landmark observed by the anchor {anchor}', faults.get(anchor, ''))
+        for robot, reason in estimator.groups.not_in_map.items():
+            if estimator.groups.is_initialized and robot in self._frames:
+                yield Missing(f'{robot} to join {MAP}', reason)
+
+    def _note_step_0(self, result: StepResult) -> None:
+        groups = self._consumer.groups
+        if groups.is_initialized and not self._was_initialized:
+            self.add(LogSeverity.INFO, (
+                f'step 0 at {result.stamp / NS:.3f} s: the anchor {self._consumer.settings.anchor}'
+                f' observes its first landmark, in {MAP}: {", ".join(groups.team.robots)}'))
+
+    def _note_restarts(self) -> None:
+        relocalized = self._consumer.statistics.relocalized
+        self._restarted = [
+            name for name in relocalized if relocalized[name] > self._relocalized[name]]
+        for robot in self._restarted:
+            was_in_map = self._frames.pop(robot, MAP) == MAP
+            if robot in self._inputs.health.pose_priors:
+                self.add(LogSeverity.INFO, f'{robot} restarts at a pose that is not known')
+            else:
+                # In a frame of its own it may restart with each message.
+                severity = LogSeverity.WARN if was_in_map else LogSeverity.DEBUG
+                reason = self._consumer.statistics.restart_reasons[robot]
+                self.add(severity, f'{robot} restarts: {reason}')
+            self._relocalized[robot] = relocalized[robot]
+
+    def _note_frames(self, frames: dict[str, str]) -> None:
+        moved: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
+        for robot, frame in frames.items():
+            if robot not in self._frames:
+                self._note_start(robot, frame)
+            elif frame != self._frames[robot]:
+                moved[self._frames[robot], frame].append(robot)
+        for (before, frame), robots in moved.items():
+            if frame in self._states:
+                cause = self._cause(robots, before, frame)
+                self.add(LogSeverity.INFO, f'{" and ".join(robots)} joined {frame}, by {cause}')
+            else:
+                self.add(LogSeverity.DEBUG, f'{before} is renamed to {frame}')
+
+    def _note_start(self, robot: str, frame: str) -> None:
+        if frame == MAP:
+            is_first = robot not in self._restarted
+            if is_first and robot == self._consumer.settings.anchor:
+                cause = 'its anchor_pose'
+            elif is_first and self._consumer.robots[robot].start_pose is not None:
+                cause = 'its start_pose'
+            else:
+                cause = 'its observations'
+            self.add(LogSeverity.INFO, f'{robot} joined {frame}, by {cause}')
+        else:
+            self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')
+
+    def _cause(self, robots: Sequence[str], before: str, frame: str) -> str:
+        """Return by what robots joined a frame from the one before."""
+        if any(robot in self._inputs.health.pose_priors for robot in robots):
+            return 'set_pose'
+        if self._consumer.groups.is_initialized and not self._was_initialized:
+            return 'the observations at step 0'
+        shared = _shared(self._states[frame], self._states[before])
+        return shared if self._states[frame].robots else f'{shared} of the prior map'
+
+    def _note_lost(self, robot: str) -> None:
+        reason = self._consumer.innovations.lost_robots.reason(robot)
+        if reason and robot not in self._lost:
+            self._lost.add(robot)
+            self.add(LogSeverity.WARN, f'{robot} is likely lost: {reason}')
+        elif robot in self._lost and not reason:
+            self._lost.remove(robot)
+            self.add(
+                LogSeverity.INFO, f'{robot} has recovered: its observations fit the map again')
+
+    def _present_members(self) -> list[tuple[str, ...]]:
+        """Return each frame with its robots."""
+        return [(group.frame, *group.robots) for group in self._consumer.groups]
+
+    def _present_states(self) -> dict[str, JointState]:
+        """Return the state of each frame; a join replaces it, so that the old one stays."""
+        return {group.frame: group.state for group in self._consumer.groups}
+
+
+def _frames_of(members: Iterable[tuple[str, ...]]) -> dict[str, str]:
+    """Return the frame of each robot."""
+    return {robot: frame for frame, *robots in members for robot in robots}
+
+
+def _shared(state: JointState, other: JointState) -> str:
+    landmarks = len(state.landmarks.keys() & other.landmarks.keys())
+    points = len(state.rendezvous_points.keys() & other.rendezvous_points.keys())
+    counts = [(landmarks, 'shared landmark'), (points, 'robot-to-robot observation')]
+    return ' and '.join(
+        f'{count} {what}{"" if count == 1 else "s"}' for count, what in counts if count
+    ) or 'landmarks without ID'

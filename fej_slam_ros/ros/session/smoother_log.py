@@ -1,0 +1,58 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Log of a run of the smoother: lost robots, joins, and robots that are not smoothed."""
+
+from collections.abc import Iterator, Mapping
+
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.log_lines import LogSeverity
+from fej_slam_ros.ros.session.run_log import Missing, RunLog
+
+
+class SmootherLog(RunLog[TeamSmoother]):
+    """The log of one run of a smoother."""
+
+    def __init__(self, team: TeamSmoother, inputs: Inputs) -> None:
+        super().__init__(team, inputs)
+        self._joined: set[str] = set()
+        self._unsolved: set[str] = set()
+        self._lost: set[str] = set()
+
+    def add_poses(self) -> None:
+        """Add the lines of robots that were lost or found with the last poses."""
+        team = self._consumer
+        for robot in [*self._inputs.health.pose_priors]:
+            if robot in team.trajectories:
+                self._note_priors(robot, team.trajectories[robot].newest().stamp)
+        lost = {robot for robot, trajectory in team.trajectories.items() if trajectory.is_lost}
+        for robot in sorted(lost - self._lost):
+            reason = team.statistics.restart_reasons[robot]
+            self.add(LogSeverity.WARN, f'{robot} goes on in its own frame: {reason}')
+        for robot in sorted(self._lost - lost):
+            self.add(LogSeverity.INFO, f'{robot} is found by the landmarks of its map')
+        self._lost = lost
+
+    def add_solution(self, failed: Mapping[str, str]) -> None:
+        """Add the lines of an adopted solution, or of the robots whose solution failed."""
+        unsolved = {**self._consumer.solution.unsolved, **failed}
+        for robot, trajectory in self._consumer.trajectories.items():
+            if trajectory.frame == MAP and robot not in self._joined:
+                self._joined.add(robot)
+                self.add(LogSeverity.INFO, f'{robot} joined {MAP}, by {self._cause(robot)}')
+        for robot in unsolved.keys() - self._unsolved:
+            self.add(LogSeverity.WARN, f'{robot} is not smoothed: {unsolved[robot]}')
+        for robot in self._unsolved - unsolved.keys():
+            self.add(LogSeverity.INFO, f'{robot} is smoothed again')
+        self._unsolved = {*unsolved}
+
+    def _needs(self, faults: Mapping[str, str]) -> Iterator[Missing]:
+        for robot, reason in self._consumer.not_in_map().items():
+            if robot in self._consumer.trajectories:
+                yield Missing(f'{robot} to join {MAP}', reason)
+
+    def _cause(self, robot: str) -> str:
+        """Return by what a robot joined."""
+        is_anchor = robot == self._consumer.settings.anchor
+        return 'its anchor_pose' if is_anchor else 'observations of robots and shared landmarks'

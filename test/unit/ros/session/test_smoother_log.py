@@ -1,0 +1,22 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Robots that join, and those that are not smoothed, have a line of the log."""
+
+from fej_slam_ros.core.csam.team_solution import solve, TeamMap
+from fej_slam_ros.ros.session.smoother_session import SmootherSession
+from helpers.ros import log_texts, meeting, raw_record, run_settings
+
+
+def test_the_smoother_logs_joined_and_unsolved_robots():
+    run = SmootherSession(run_settings(), None)
+    for record in meeting():
+        run.receive(raw_record(record))
+    list(run.release())
+    list(run.adopt(solve(run.team.task())))
+    list(run.adopt(TeamMap(unsolved={'r1': 'no minimum'})))
+    list(run.adopt(solve(run.team.task())))
+
+    assert log_texts(run) == [
+        'r1 joined map, by its anchor_pose',
+        'r2 joined map, by observations of robots and shared landmarks',
+        'r1 is not smoothed: no minimum', 'r1 is smoothed again']
