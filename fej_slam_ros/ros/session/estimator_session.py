@@ -18,7 +18,8 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.prior_map import prior_map
-from fej_slam_ros.ros.files.run_files import RunFiles, summary
+from fej_slam_ros.ros.files.run_files import RunFiles
+from fej_slam_ros.ros.files.run_summary import estimator_summary
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import ParameterChange, RunSettings
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
@@ -85,7 +86,8 @@ class EstimatorSession(Session):
     def write_files(self) -> dict[str, Any]:
         """Complete the files of a closed run; return the content of ``summary.json``."""
         content = {
-            'state_hash': self.state_hash(), **summary(self.estimator, self.inputs, self.settings),
+            'state_hash': self.state_hash(),
+            **estimator_summary(self.estimator, self.inputs, self.settings),
             'parameter_changes': [change.as_json() for change in self.changes], **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids

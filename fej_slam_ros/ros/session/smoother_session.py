@@ -23,7 +23,8 @@ from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
-from fej_slam_ros.ros.files.run_files import RunFiles, smoother_summary
+from fej_slam_ros.ros.files.run_files import RunFiles
+from fej_slam_ros.ros.files.run_summary import smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages

@@ -9,7 +9,7 @@ import pytest
 from scipy.stats import chi2
 
 from fej_slam_ros.core.records import Odometry
-from fej_slam_ros.ros.files.run_files import summary
+from fej_slam_ros.ros.files.run_summary import estimator_summary
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, robot_scan, scan
@@ -178,7 +178,7 @@ def test_errors_against_ground_truth_are_those_of_the_summary():
 
     report = statuses(EstimatorDiagnostics(run.estimator, run.inputs), NOW)
 
-    expected = summary(run.estimator, run.inputs, run.settings)
+    expected = estimator_summary(run.estimator, run.inputs, run.settings)
     for name in ('r1', 'r2'):
         _, _, values = report[name]
         assert float(values['nees']) == pytest.approx(expected['nees'][name], abs=5e-4)
