@@ -9,8 +9,6 @@ from dataclasses import asdict, dataclass
 from typing import Generic
 
 import numpy as np
-from rosbags.typesys.stores.ros2_jazzy import (
-    diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
@@ -136,7 +134,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """Return whether a robot needs observations to get into ``map``."""
 
     @abstractmethod
-    def _state_of(self, robot: str) -> tuple[int, str]:
+    def _state_of(self, robot: str) -> tuple[Level, str]:
         """Return level and message of a robot for the most serious condition of its estimate."""
 
     @abstractmethod
@@ -176,29 +174,29 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         } | {'delays_others_s': round(health.lag(robot) / NS, 3)}
 
     def _with_faults(
-        self, robot: str, now: int, level: int, message: str
-    ) -> tuple[int, str]:
+        self, robot: str, now: int, level: Level, message: str
+    ) -> tuple[Level, str]:
         """Add the conditions of the input of a robot to level and message of its estimate."""
         found = faults(self._input_of(robot, now))
         found += [Fault(Level.WARN, change) for change in self._inputs.frames.changes(robot)]
         if robot in self.other_publishers:
             found.append(Fault(Level.WARN, also_published(self.other_publishers[robot])))
         return (
-            max(level, *(fault.level for fault in found)) if found else level,
+            max([level, *(fault.level for fault in found)]),
             '; '.join([message, *(fault.message for fault in found)]))
 
     def _clock_values(self, robot: str) -> dict[str, float]:
         offset = self._inputs.clock_offsets.offset(robot)
         return {} if offset is None else {'clock_offset_s': round(offset / NS, 6)}
 
-    def _with_clock(self, robot: str, level: int, message: str) -> tuple[int, str]:
+    def _with_clock(self, robot: str, level: Level, message: str) -> tuple[Level, str]:
         """Add a warning to level and message if stamps and the clock of reception differ."""
         delay = self._inputs.clock_offsets.delay(robot) or 0
         if abs(delay) <= self.clock_limit * NS:
             return level, message
         side = 'behind' if delay > 0 else 'ahead of'
         warning = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
-        return max(level, DiagnosticStatus.WARN), f'{message}; {warning}'
+        return max(level, Level.WARN), f'{message}; {warning}'
 
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that no robot sends odometry, None if one does."""
@@ -220,10 +218,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
             *([no_input.message] if no_input else [])]
         if self._consumer.statistics.depends_on_arrival():
             messages.append('the result depended on the order of arrival')
-        level = DiagnosticStatus.WARN if messages else DiagnosticStatus.OK
+        level = Level.WARN if messages else Level.OK
         time_jump = self._inputs.time_jump_error()
         if time_jump:
-            level = DiagnosticStatus.ERROR
+            level = Level.ERROR
             messages.insert(0, time_jump)
         elif no_input is not None:
             level = max(level, no_input.level)
@@ -233,13 +231,13 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     def _qos(self) -> Message:
         return outgoing.diagnostic_status(
             f'{self.node_name}: qos',
-            DiagnosticStatus.ERROR if self.incompatible else DiagnosticStatus.OK,
+            Level.ERROR if self.incompatible else Level.OK,
             '; '.join(map(str, self.incompatible)) or 'compatible', {})
 
     def _files(self) -> Message:
         return outgoing.diagnostic_status(
             f'{self.node_name}: files',
-            DiagnosticStatus.ERROR if self.file_errors else DiagnosticStatus.OK,
+            Level.ERROR if self.file_errors else Level.OK,
             '; '.join(self.file_errors.values()) or 'no error', self.file_errors)
 
 

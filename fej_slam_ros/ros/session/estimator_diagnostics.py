@@ -4,15 +4,13 @@
 
 from collections import Counter
 
-from rosbags.typesys.stores.ros2_jazzy import (
-    diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
-
 from fej_slam_ros.core.consistency import NisMonitor
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.session.diagnostics import Diagnostics, percentile_values
+from fej_slam_ros.ros.session.input_faults import Level
 
 #: NIS is reported when it has been outside its probability band for this time [ns]; a single
 #: outlier has a shorter effect.
@@ -59,20 +57,20 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         estimator = self._consumer
         return robot == estimator.settings.anchor and not estimator.groups.is_initialized
 
-    def _state_of(self, robot: str) -> tuple[int, str]:
+    def _state_of(self, robot: str) -> tuple[Level, str]:
         nis = self._consumer.innovations.nis[robot]
         level, message = _consistency(nis)
         lost = self._consumer.innovations.lost_robots.reason(robot)
         if lost:
             # Covariances that are far too small are a cause, too.
-            is_overconfident = level > DiagnosticStatus.OK and nis.nis_per_dof() > 1.0
+            is_overconfident = level > Level.OK and nis.nis_per_dof() > 1.0
             cause = f'; {message}' if is_overconfident else ''
-            return DiagnosticStatus.ERROR, f'likely lost: {lost}{cause}'
+            return Level.ERROR, f'likely lost: {lost}{cause}'
         not_joined = self._consumer.groups.not_in_map.get(robot)
         if not_joined:
-            return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
+            return Level.WARN, f'{robot} not joined: {not_joined}'
         if self._is_before_step_0(robot):
-            return DiagnosticStatus.OK, f'in {MAP}; no landmark observed yet'
+            return Level.OK, f'in {MAP}; no landmark observed yet'
         return level, message
 
     def _overall(self, now: int, at_rest: bool) -> Message:
@@ -98,12 +96,12 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
         })
 
 
-def _consistency(nis: NisMonitor) -> tuple[int, str]:
+def _consistency(nis: NisMonitor) -> tuple[Level, str]:
     """Return level and message of a robot in ``map`` by its NIS."""
     if nis.outside_for < NIS_PATIENCE:
-        return DiagnosticStatus.OK, 'in map'
+        return Level.OK, 'in map'
     ratio = nis.nis_per_dof()
     over = ratio > 1.0
     factor = ratio if over else 1.0 / max(ratio, 1e-9)
-    level = DiagnosticStatus.ERROR if factor >= NIS_ERROR else DiagnosticStatus.WARN
+    level = Level.ERROR if factor >= NIS_ERROR else Level.WARN
     return level, f'{"over" if over else "under"}confident by a factor of {factor:.1f}'

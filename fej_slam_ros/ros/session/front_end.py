@@ -6,6 +6,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from typing import Protocol
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage
+from fej_slam_ros.ros.session.input_faults import Level
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, IsWanted, Publication
 
 #: Topic of the IDs of landmarks by the names of the detected objects.
@@ -47,6 +48,7 @@ def report(node: str, counts: Iterable[RobotCounts], stamp: int) -> Publication:
     """Return the diagnostics of the front end of a node by its counts, at a time [ns]."""
     statuses = [
         outgoing.diagnostic_status(
-            f'{node}: {name}', 1 if warning else 0, warning or 'detecting', values, name)
+            f'{node}: {name}', Level.WARN if warning else Level.OK, warning or 'detecting',
+            values, name)
         for name, warning, values in counts]
     return DIAGNOSTICS_TOPIC, outgoing.diagnostics(stamp, statuses)

@@ -6,9 +6,6 @@ from collections import Counter
 from collections.abc import Iterator, Mapping
 from time import monotonic_ns
 
-from rosbags.typesys.stores.ros2_jazzy import (
-    diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
-
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import PeerExchange
 from fej_slam_ros.core.peers.logs import LogName
@@ -53,7 +50,7 @@ class PeerDiagnostics(SmootherDiagnostics):
         # Rejected messages of each robot at the last report.
         self._rejected_before: dict[str, Counter[MessageRejection]] = {}
 
-    def _with_faults(self, robot: str, now: int, level: int, message: str) -> tuple[int, str]:
+    def _with_faults(self, robot: str, now: int, level: Level, message: str) -> tuple[Level, str]:
         """Add the conditions of the input, or for another robot whether it is in reach."""
         if robot == self._consumer.robot:
             return super()._with_faults(robot, now, level, message)
@@ -65,7 +62,7 @@ class PeerDiagnostics(SmootherDiagnostics):
         if not rejected:
             return level, f'{message}; {reach}'
         reasons = ', '.join(f'{count} {reason.value}' for reason, count in rejected.items())
-        return max(level, DiagnosticStatus.WARN), f'{message}; {reach}; rejected: {reasons}'
+        return max(level, Level.WARN), f'{message}; {reach}; rejected: {reasons}'
 
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that the own robot sends no odometry, None if it does."""

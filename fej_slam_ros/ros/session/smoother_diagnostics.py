@@ -5,13 +5,11 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from rosbags.typesys.stores.ros2_jazzy import (
-    diagnostic_msgs__msg__DiagnosticStatus as DiagnosticStatus)
-
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.session.diagnostics import Diagnostics, percentile_values
+from fej_slam_ros.ros.session.input_faults import Level
 
 
 class SmootherDiagnostics(Diagnostics[TeamSmoother]):
@@ -27,18 +25,18 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
     def _needs_observations(self, robot: str) -> bool:
         return robot in self._consumer.not_in_map()
 
-    def _state_of(self, robot: str) -> tuple[int, str]:
+    def _state_of(self, robot: str) -> tuple[Level, str]:
         team = self._consumer
         trajectory = team.trajectories.get(robot)
         error = (
             (trajectory and trajectory.error) or team.solution.unsolved.get(robot)
             or self.failed.get(robot))
         if error:
-            return DiagnosticStatus.ERROR, f'not smoothed: {error}'
+            return Level.ERROR, f'not smoothed: {error}'
         not_joined = team.not_in_map().get(robot)
         if not_joined:
-            return DiagnosticStatus.WARN, f'{robot} not joined: {not_joined}'
-        return DiagnosticStatus.OK, f'in {MAP}'
+            return Level.WARN, f'{robot} not joined: {not_joined}'
+        return Level.OK, f'in {MAP}'
 
     def _values_of(self, robot: str) -> dict[str, object]:
         return {'steps': self._consumer.steps[robot], **self._clock_values(robot)}
