@@ -68,6 +68,11 @@ def decoded(raw: bytes, type_name: str) -> Message | None:
         return None
 
 
+def decoded_as(arrived: RawMessage, type_name: str) -> Message | None:
+    """Return an arrived message, None if it has another type or is truncated."""
+    return decoded(arrived.raw, type_name) if arrived.type_name == type_name else None
+
+
 def stamp_of(raw: bytes) -> int:
     """Return the stamp [ns] in little-endian CDR bytes of a message that begins with a header."""
     sec, nanosec = _STAMP.unpack_from(raw, _ENCAPSULATION)

@@ -15,7 +15,7 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.detection import objects
 from fej_slam_ros.detection.objects import DetectedObject, PlanarObservation
 from fej_slam_ros.ros.messages import (
-    decoded, incoming, markers, object_formats, outgoing, RawMessage)
+    decoded_as, incoming, markers, object_formats, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
@@ -145,7 +145,7 @@ class AdapterSession:
     def _receive_odometry(self, name: str, arrived: RawMessage) -> None:
         """Record the base frame of a robot, which is all that is used of its odometry."""
         if not self._frames.knows_base(name):
-            message = decoded(arrived.raw, ODOMETRY) if arrived.type_name == ODOMETRY else None
+            message = decoded_as(arrived, ODOMETRY)
             if message is None:
                 self._reject(name, RejectionReason.BAD_MESSAGE)
             else:
@@ -153,8 +153,7 @@ class AdapterSession:
 
     def _receive_objects(self, name: str, topic: str, arrived: RawMessage) -> None:
         object_format, is_used = self._formats[topic]
-        expected = object_format.type_name
-        message = decoded(arrived.raw, expected) if arrived.type_name == expected else None
+        message = decoded_as(arrived, object_format.type_name)
         if message is None:
             self._reject(name, RejectionReason.BAD_MESSAGE)
             return

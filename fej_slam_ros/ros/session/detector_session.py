@@ -17,7 +17,7 @@ from fej_slam_ros.detection.detections import Detections
 from fej_slam_ros.detection.detector import Detector, StampedScan
 from fej_slam_ros.detection.laser_scan import LaserScan
 from fej_slam_ros.ros.messages import (
-    decoded, incoming, laser, markers, Message, outgoing, RawMessage)
+    decoded_as, incoming, laser, markers, Message, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY
@@ -86,8 +86,7 @@ class DetectorSession:
         if self._frames.receive(arrived):
             return
         if name in self._detectors and kind in {'scan', 'odom'}:
-            expected = self.topics[f'{name}/{kind}']
-            message = decoded(arrived.raw, expected) if arrived.type_name == expected else None
+            message = decoded_as(arrived, self.topics[f'{name}/{kind}'])
             if message is None:
                 self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
             elif kind == 'odom':

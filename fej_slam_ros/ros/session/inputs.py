@@ -15,7 +15,7 @@ from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import (
-    decoded, deserialize, incoming, Message, RawMessage, serialize)
+    decoded_as, deserialize, incoming, Message, RawMessage, serialize)
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
@@ -199,7 +199,7 @@ class Inputs:
                 (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
-        message = decoded(arrived.raw, type_name) if arrived.type_name == type_name else None
+        message = decoded_as(arrived, type_name)
         if message is None:
             self._reject(name, arrived.received or 0, RejectionReason.BAD_MESSAGE)
         return message

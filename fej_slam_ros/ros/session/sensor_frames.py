@@ -9,7 +9,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.ros.messages import decoded, incoming, Message, RawMessage
+from fej_slam_ros.ros.messages import decoded_as, incoming, Message, RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
 from fej_slam_ros.ros.session.inputs import TF_TYPE
@@ -47,7 +47,7 @@ class SensorFrames:
         topic = arrived.topic.lstrip('/')
         if topic.rpartition('/')[2] != STATIC_TF:
             return False
-        message = decoded(arrived.raw, TF_TYPE) if arrived.type_name == TF_TYPE else None
+        message = decoded_as(arrived, TF_TYPE)
         if message is None:
             self.rejected['bad_message'] += 1
             return True
