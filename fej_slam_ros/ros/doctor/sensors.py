@@ -52,7 +52,7 @@ def check(
     """Yield sensors that are not where, or as, their observations say."""
     robots = [robot.name for robot in settings.estimation.robots]
     collector = RecordCollector(settings.estimation, needs_ids=False)
-    inputs = Inputs(collector, settings=settings.node)
+    inputs = Inputs(collector, settings.node)
     lasers = DetectorSession(replace(
         detector, robots=tuple(robots), min_radius=ANY_RADIUS[0], max_radius=ANY_RADIUS[1],
         static_time=0.0))

@@ -36,7 +36,7 @@ class Trial:
     ) -> None:
         self.estimator = Estimator(settings, prior)
         # A second pass of a looping bag is a finding.
-        self.inputs = Inputs(self.estimator, settings=replace(node, on_time_jump='refuse'))
+        self.inputs = Inputs(self.estimator, replace(node, on_time_jump='refuse'))
         self.topics = frozenset(self.inputs.topics)
         self._static_topics = {topic.lstrip('/') for topic in self.inputs.static_topics}
         #: Number of rejections by topic and reason, and the stamp of the first of them [ns].

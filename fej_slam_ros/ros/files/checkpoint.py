@@ -100,7 +100,7 @@ def load(
         changes = [ParameterChange(**change) for change in stored['changes']]
         estimator = core.restore(
             stored[ESTIMATOR_KEY], _present(settings.estimation, changes), Estimator)
-        inputs = Inputs(estimator, settings=settings.node)
+        inputs = Inputs(estimator, settings.node)
         inputs.restore(stored['inputs'])
     return estimator, inputs, changes
 
@@ -112,7 +112,7 @@ def load_smoother(path: Path, settings: RunSettings) -> tuple[TeamSmoother, Inpu
         _refuse_other_settings(
             path, stored['settings'], _deciding_smoother(settings.estimation))
         team = core.restore(stored[SMOOTHER_KEY], settings.estimation, TeamSmoother)
-        inputs = Inputs(team, settings=settings.node)
+        inputs = Inputs(team, settings.node)
         inputs.restore(stored['inputs'])
     return team, inputs
 

@@ -68,7 +68,7 @@ class EstimatorSession(Session):
                 Path(settings.node.restore), settings, self.prior)
         else:
             self.estimator = Estimator(settings.estimation, self.prior)
-            self.inputs = Inputs(self.estimator, settings=settings.node)
+            self.inputs = Inputs(self.estimator, settings.node)
         self.consumer = self.estimator
         self.inputs.initialpose_robot = self.estimator.settings.initialpose_robot
         self.outputs = outputs(self.estimator, self.inputs, settings.node)

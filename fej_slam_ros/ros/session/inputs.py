@@ -29,8 +29,8 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 TF_TYPE = 'tf2_msgs/msg/TFMessage'
 POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
-#: Types of the topics that a robot publishes, by the last part of their names; the estimator also
-#: subscribes to ``set_pose``.
+#: Types of the topics that a robot publishes, by the last part of their names; users also publish
+#: ``set_pose``, for all nodes but a smoother with peers.
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
@@ -65,7 +65,6 @@ class Inputs:
     Parameters
     ----------
     consumer : estimator or smoother that receives the records and counts rejections
-    robot_topics : types of the topics of each robot that are used, as `ROBOT_TOPICS`
     settings : of the node
 
     Attributes
@@ -82,14 +81,12 @@ class Inputs:
 
     """
 
+    #: Types of the topics of each robot that are used, by the last part of their names.
+    robot_topics: Mapping[str, str] = ROBOT_TOPICS
     start_check: StartCheck
 
-    def __init__(
-        self, consumer: Consumer, robot_topics: Mapping[str, str] = ROBOT_TOPICS,
-        settings: NodeSettings = DEFAULTS,
-    ) -> None:
+    def __init__(self, consumer: Consumer, settings: NodeSettings = DEFAULTS) -> None:
         self._consumer = consumer
-        self._robot_topics = robot_topics
         # Functions that convert a message to a record, for topics without further checks.
         self._record_builders: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {
             'ground_truth': incoming.true_pose,
@@ -110,7 +107,7 @@ class Inputs:
     @property
     def topics(self) -> dict[str, str]:
         """Return the types of the topics to subscribe to for the present team, by topic."""
-        return expected_topics(self._consumer.robots, self._robot_topics)
+        return expected_topics(self._consumer.robots, self.robot_topics)
 
     @property
     def static_topics(self) -> dict[str, str]:
@@ -128,7 +125,7 @@ class Inputs:
             self._receive_landmarks(arrived)
         elif kind == STATIC_TF and self._uses_static(arrived.topic):
             self._receive_mounts(arrived)
-        elif kind not in self._robot_topics or '/' in name:
+        elif kind not in self.robot_topics or '/' in name:
             self.unused[arrived.topic] += 1
         elif name not in self._consumer.robots:
             self._reject(name, arrived.received or 0, RejectionReason.UNKNOWN_ROBOT)
@@ -137,7 +134,7 @@ class Inputs:
             rejected = statistics.rejected.get(name, 0)
             message = None
             if not self._is_too_large(name, kind, arrived):
-                message = self._decoded(name, arrived, self._robot_topics[kind])
+                message = self._decoded(name, arrived, self.robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
             is_rejected = statistics.rejected.get(name, 0) > rejected
@@ -148,7 +145,7 @@ class Inputs:
     def robot_of_initialpose(self) -> str | None:
         """Return the robot that `INITIALPOSE` is for, None if it is not used."""
         robots = [*self._consumer.robots]
-        if 'set_pose' not in self._robot_topics or (not self.initialpose_robot and robots[1:]):
+        if 'set_pose' not in self.robot_topics or (not self.initialpose_robot and robots[1:]):
             return None
         return self.initialpose_robot or robots[0]
 
@@ -206,7 +203,7 @@ class Inputs:
 
     def _is_too_large(self, name: str, kind: str, arrived: RawMessage) -> bool:
         """Reject a scan of too many points, by its header; return whether it has."""
-        if arrived.type_name != CLOUD or self._robot_topics[kind] != CLOUD:
+        if arrived.type_name != CLOUD or self.robot_topics[kind] != CLOUD:
             return False
         points = incoming.points_beyond(arrived.raw, self._consumer.settings.max_observations)
         if points is None:

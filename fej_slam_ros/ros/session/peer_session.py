@@ -49,12 +49,13 @@ ExchangeOpener = Callable[[Path, str], AbstractContextManager[ExchangeFile | Liv
 class PeerInputs(Inputs):
     """The inputs of the own robot; those of others arrive in their logs."""
 
+    robot_topics = SENT_TOPICS
     _consumer: PeerSmoother
 
     @property
     def topics(self) -> dict[str, str]:
         """Return the types of the topics to subscribe to."""
-        own = expected_topics([self._consumer.robot], self._robot_topics)
+        own = expected_topics([self._consumer.robot], self.robot_topics)
         return own | {EXCHANGE_TOPIC: EXCHANGE_TYPE}
 
     @property
@@ -125,7 +126,7 @@ class PeerSession(SmootherSession):
             frozenset(robot.name for robot in others), round(node.exchange_period * NS),
             rate=node.exchange_rate))
         self.consumer = self.team = PeerSmoother(settings, own.name, logs, solve_every)
-        self.inputs = PeerInputs(self.team, SENT_TOPICS, node)
+        self.inputs = PeerInputs(self.team, node)
         self.outputs = PeerOutputs(self.team, self.inputs, node)
         self.diagnostics = PeerDiagnostics(
             self.team, self.inputs, node.clock_limit, self._exchange)

@@ -62,7 +62,7 @@ def collect(
 
     """
     collector = RecordCollector(settings.estimation, needs_ids)
-    inputs = Inputs(collector, settings=replace(settings.node, on_time_jump='refuse'))
+    inputs = Inputs(collector, replace(settings.node, on_time_jump='refuse'))
     for message in messages:
         inputs.receive(message)
     inputs.close()

@@ -93,7 +93,7 @@ class SmootherSession(Session):
             self.team, self.inputs = checkpoint.load_smoother(Path(node.restore), self.settings)
         else:
             self.team = TeamSmoother(self.settings.estimation, solve_every)
-            self.inputs = Inputs(self.team, settings=node)
+            self.inputs = Inputs(self.team, node)
         self.consumer = self.team
         self.outputs = SmootherOutputs(self.team, self.inputs, node)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node.clock_limit)

@@ -14,12 +14,12 @@ from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session import inputs as inputs_module
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS, SENT_TOPICS
+from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS
 from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
 from helpers.ros import (
-    cloud, drive, empty_cloud, LANDMARKS, meeting, odometry_message, raw, raw_record,
-    run_settings, seen)
+    cloud, drive, empty_cloud, LANDMARKS, meeting, odometry_message, raw, raw_record, run_settings,
+    seen)
 
 #: Odometry of both robots every 100 ms from 0 to 400, with scans from 100 on.
 GOOD = [raw_record(record) for record in meeting()]
@@ -284,15 +284,6 @@ def robots(ms, *observations, frame=''):
 
 
 BOTH = [raw_record(odometry(robot, ms)) for ms in range(0, 500, 100) for robot in ('r1', 'r2')]
-
-
-def test_the_used_topics_are_a_parameter_of_inputs():
-    estimator = Estimator(team())
-    told = {topic.rpartition('/')[2] for topic in Inputs(estimator).topics}
-
-    sent = {topic.rpartition('/')[2] for topic in Inputs(estimator, SENT_TOPICS).topics}
-
-    assert sent == told - {'set_pose', 'initialpose'}
 
 
 def test_a_robot_observation_makes_one_step_of_both_robots():

@@ -320,6 +320,7 @@ def test_only_inputs_of_the_own_robot_are_subscribed_to():
     run = session('p', 'q')
 
     assert not [topic for topic in run.inputs.topics if topic.startswith('q/')]
+    assert not {'p/set_pose', 'initialpose'} & run.inputs.topics.keys()
     assert run.inputs.topics[EXCHANGE_TOPIC] == EXCHANGE_TYPE
     assert {'p/pose', 'q/pose', 'q/base_node', EXCHANGE_TOPIC} <= run.outputs.topics.keys()
 
