@@ -19,7 +19,7 @@ from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
-from fej_slam_ros.ros.nodes.topics import input_qos, output_qos
+from fej_slam_ros.ros.nodes.qos import input_qos, output_qos
 from fej_slam_ros.ros.parameters import (
     adapter_settings, declared_parameters, ESTIMATOR, known_parameters, NodeSettings, QOS_POLICIES,
     RENAMED_PARAMETERS, SMOOTHER)

@@ -21,7 +21,9 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import deserialize, RawMessage, restamped, stamp_of
 from fej_slam_ros.ros.nodes.child_processes import (
     check_alive, ChildProcesses, keep_to_this_machine)
-from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, ros, Stop
+from fej_slam_ros.ros.nodes.endpoints import message_class
+from fej_slam_ros.ros.nodes.qos import reliable
+from fej_slam_ros.ros.nodes.ros_process import ros, Stop
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TYPES
 
 QUEUE_DEPTH = 1000

@@ -4,7 +4,8 @@
 
 import numpy as np
 
-from fej_slam_ros.ros.nodes.ros_process import best_effort, message_class
+from fej_slam_ros.ros.nodes.endpoints import message_class
+from fej_slam_ros.ros.nodes.qos import best_effort
 from helpers.records import MS, odometry, scan
 from helpers.ros import raw_record
 

@@ -19,9 +19,10 @@ from std_srvs.srv import Trigger
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import deserialize
+from fej_slam_ros.ros.nodes.endpoints import message_class
 from fej_slam_ros.ros.nodes.estimator import EstimatorNode
 from fej_slam_ros.ros.nodes.event_loop import serve
-from fej_slam_ros.ros.nodes.ros_process import message_class, reliable
+from fej_slam_ros.ros.nodes.qos import reliable
 from helpers.processes import DEADLINE, end_session, start_verb, until
 from helpers.ros import write_parameters
 

@@ -16,7 +16,7 @@ from helpers.ros import run_verb, write_parameters
 
 front_end = optional('fej_slam_ros.ros.nodes.front_end')
 live_helpers = optional('helpers.live')
-process = optional('fej_slam_ros.ros.nodes.ros_process')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = pytest.mark.ros
 
@@ -112,7 +112,7 @@ def test_an_incompatible_publisher_is_named_with_the_parameter_that_resolves_it(
         domain.until(lambda: reports)
         domain.node.create_publisher(
             live_helpers.message_class('sensor_msgs/msg/LaserScan'), '/r1/scan',
-            process.best_effort(1))
+            qos.best_effort(1))
 
         domain.until(lambda: (
             'set qos_overrides./r1/scan.subscription.reliability: best_effort'

@@ -19,7 +19,8 @@ rclpy = optional('rclpy')
 Context = optional('rclpy.context').Context
 Node = optional('rclpy.node').Node
 SignalHandlerOptions = optional('rclpy.signals').SignalHandlerOptions
-process = optional('fej_slam_ros.ros.nodes.ros_process')
+endpoints = optional('fej_slam_ros.ros.nodes.endpoints')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = pytest.mark.ros
 
@@ -85,7 +86,7 @@ def test_a_publisher_of_another_type_is_an_error(domain, observer):
     context = Context()
     rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
     other = Node('other', context=context)
-    other.create_publisher(process.message_class('geometry_msgs/msg/Twist'), 'r2/odom', 1)
+    other.create_publisher(endpoints.message_class('geometry_msgs/msg/Twist'), 'r2/odom', 1)
 
     observer.until(
         'estimator: r2', ERROR,
@@ -99,7 +100,7 @@ def test_a_publisher_of_incompatible_qos_is_an_error_of_its_robot(domain, observ
         robots=ROBOTS, **{'qos_overrides./r1/odom.subscription.reliability': 'reliable'})
 
     domain.node.create_publisher(
-        process.message_class('nav_msgs/msg/Odometry'), 'r1/odom', process.best_effort(1))
+        endpoints.message_class('nav_msgs/msg/Odometry'), 'r1/odom', qos.best_effort(1))
 
     observer.until('estimator: r1', ERROR, 'a publisher offers BEST_EFFORT')
 

@@ -11,7 +11,7 @@ from helpers.ros import cdr, odometry_message
 live = optional('helpers.live')
 nav_msgs = optional('nav_msgs.msg')
 rclpy = optional('rclpy')
-ros_process = optional('fej_slam_ros.ros.nodes.ros_process')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = pytest.mark.ros
 
@@ -36,7 +36,7 @@ class Robots:
         self._node = rclpy.create_node('robots', context=context, use_global_arguments=False)
         self._publishers = {
             robot: self._node.create_publisher(
-                nav_msgs.Odometry, f'{robot}/odom', ros_process.reliable(1000))
+                nav_msgs.Odometry, f'{robot}/odom', qos.reliable(1000))
             for robot in TEAM['robots']}
         self._domain = domain
         self._begin = begin

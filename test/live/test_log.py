@@ -15,7 +15,8 @@ from helpers.ros import raw, write_parameters
 
 feeds = optional('helpers.feeds')
 live_helpers = optional('helpers.live')
-process = optional('fej_slam_ros.ros.nodes.ros_process')
+endpoints = optional('fej_slam_ros.ros.nodes.endpoints')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = pytest.mark.ros
 
@@ -34,8 +35,8 @@ class Log:
         # An estimator in this process must be there before the node of the test.
         messages = []
         self._domain.node.create_subscription(
-            process.message_class('rcl_interfaces/msg/Log'), '/rosout', messages.append,
-            process.reliable(1000, latched=True))
+            endpoints.message_class('rcl_interfaces/msg/Log'), '/rosout', messages.append,
+            qos.reliable(1000, latched=True))
         return messages
 
     def lines(self, level=INFO):

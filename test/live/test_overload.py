@@ -23,7 +23,7 @@ from helpers.records import odometry, scan
 from helpers.ros import cloud, meeting, raw, raw_record, write_parameters
 
 live_helpers = optional('helpers.live')
-process = optional('fej_slam_ros.ros.nodes.ros_process')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = pytest.mark.ros
 
@@ -88,11 +88,11 @@ class Drive:
         self.arrivals = []
         domain.node.create_subscription(
             live_helpers.message_class(live_helpers.POSE), 'r2/predicted_pose', self._arrived,
-            process.best_effort(1000))
+            qos.best_effort(1000))
         self.reports = []
         domain.node.create_subscription(
             live_helpers.message_class(live_helpers.DIAGNOSTICS), '/diagnostics',
-            self.reports.append, process.best_effort(100))
+            self.reports.append, qos.best_effort(100))
         domain.until(lambda: self.reports)
 
     def go(self, make_scan, seconds, make_flood=lambda _ms, _x: ()):

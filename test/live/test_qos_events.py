@@ -8,7 +8,8 @@ from helpers.optional import optional
 from helpers.ros import ODOMETRY
 
 live_helpers = optional('helpers.live')
-process = optional('fej_slam_ros.ros.nodes.ros_process')
+endpoints = optional('fej_slam_ros.ros.nodes.endpoints')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 Duration = optional('rclpy.duration').Duration
 QoSProfile = optional('rclpy.qos').QoSProfile
 
@@ -39,19 +40,19 @@ def qos_status(domain):
 
 
 def publish(domain, topic, type_name, qos):
-    return domain.node.create_publisher(process.message_class(type_name), topic, qos)
+    return domain.node.create_publisher(endpoints.message_class(type_name), topic, qos)
 
 
 def subscribe(domain, topic, type_name, qos):
     return domain.node.create_subscription(
-        process.message_class(type_name), topic, lambda _: None, qos, raw=True)
+        endpoints.message_class(type_name), topic, lambda _: None, qos, raw=True)
 
 
 @pytest.mark.slow
 def test_compatible_topics_are_ok(domain, qos_status):
     newest = qos_status()
 
-    publisher = publish(domain, 'r1/odom', ODOMETRY, process.best_effort(10))
+    publisher = publish(domain, 'r1/odom', ODOMETRY, qos.best_effort(10))
     domain.until(lambda: publisher.get_subscription_count() and newest())
 
     assert newest() == [(OK, 'compatible')]
@@ -75,7 +76,7 @@ def test_an_incompatible_publisher_is_an_error_with_topic_and_parameter(
 ):
     newest = qos_status(**given)
 
-    publish(domain, topic, type_name, process.best_effort(10))
+    publish(domain, topic, type_name, qos.best_effort(10))
 
     domain.until(lambda: newest() == [(ERROR, sentence)])
 
@@ -84,10 +85,10 @@ def test_an_incompatible_publisher_is_an_error_with_topic_and_parameter(
 @pytest.mark.parametrize(
     ('wanted', 'given', 'sentence'),
     [
-        (process.reliable(1, latched=True), {},
+        (qos.reliable(1, latched=True), {},
          ('/r1/pose: a subscription requests TRANSIENT_LOCAL, this node offers VOLATILE:'
           ' set qos_overrides./r1/pose.publisher.durability: transient_local')),
-        (process.reliable(1), {'qos_overrides./r1/pose.publisher.reliability': 'best_effort'},
+        (qos.reliable(1), {'qos_overrides./r1/pose.publisher.reliability': 'best_effort'},
          ('/r1/pose: a subscription requests RELIABLE, this node offers BEST_EFFORT:'
           ' set qos_overrides./r1/pose.publisher.reliability: reliable')),
         (QoSProfile(depth=1, deadline=Duration(seconds=0.5)), {},
@@ -107,7 +108,7 @@ def test_an_incompatible_subscription_is_an_error(domain, qos_status, wanted, gi
 def test_each_incompatible_policy_is_reported_until_its_endpoint_is_gone(domain, qos_status):
     newest = qos_status()
 
-    publisher = publish(domain, 'ground_truth/landmarks', CLOUD, process.best_effort(10))
+    publisher = publish(domain, 'ground_truth/landmarks', CLOUD, qos.best_effort(10))
     domain.until(lambda: [level for level, _ in newest()] == [ERROR])
     (_, message), = newest()
     domain.node.destroy_publisher(publisher)
@@ -122,7 +123,7 @@ def test_the_suggested_parameters_make_topics_compatible(domain, qos_status):
     newest = qos_status(
         **{f'{topic}.reliability': 'best_effort', f'{topic}.durability': 'volatile'})
 
-    publisher = publish(domain, 'ground_truth/landmarks', CLOUD, process.best_effort(10))
+    publisher = publish(domain, 'ground_truth/landmarks', CLOUD, qos.best_effort(10))
     domain.until(lambda: publisher.get_subscription_count() and newest())
 
     assert newest() == [(OK, 'compatible')]

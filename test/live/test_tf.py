@@ -21,7 +21,8 @@ from helpers.records import MS, odometry
 from helpers.ros import CLOUD, header, meeting, raw, raw_record, seen, write_parameters
 
 live_helpers = optional('helpers.live')
-ros_process = optional('fej_slam_ros.ros.nodes.ros_process')
+endpoints = optional('fej_slam_ros.ros.nodes.endpoints')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = pytest.mark.ros
 
@@ -146,7 +147,7 @@ def test_sensor_mounts_come_from_static_transforms(domain):
             # A quarter turn to the left.
             rotation=Quaternion(x=0.0, y=0.0, z=np.sqrt(0.5), w=np.sqrt(0.5))))
     publisher = domain.node.create_publisher(
-        ros_process.message_class(TF), '/tf_static', ros_process.reliable(1, latched=True))
+        endpoints.message_class(TF), '/tf_static', qos.reliable(1, latched=True))
     # Sent before the nodes have discovered each other: the publisher keeps it.
     publisher.publish(raw('tf_static', TFMessage(transforms=[mount])).raw)
     maps = domain.listen('/estimator/landmarks', CLOUD)

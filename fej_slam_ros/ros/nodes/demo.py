@@ -16,7 +16,9 @@ from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
 from fej_slam_ros.ros.nodes.child_processes import (
     check_alive, ChildProcesses, keep_to_this_machine)
-from fej_slam_ros.ros.nodes.ros_process import message_class, reliable, ros
+from fej_slam_ros.ros.nodes.endpoints import message_class
+from fej_slam_ros.ros.nodes.qos import reliable
+from fej_slam_ros.ros.nodes.ros_process import ros
 from fej_slam_ros.ros.session.outputs import ROBOT_TYPES
 
 POSE_TYPE = ROBOT_TYPES['pose']

@@ -5,7 +5,7 @@
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
-from fej_slam_ros.ros.nodes.ros_process import taken_message
+from fej_slam_ros.ros.nodes.endpoints import taken_message
 
 #: Number of received messages stored per topic while the number is unknown.
 MAX_STORED = 50

@@ -21,7 +21,9 @@ from rclpy.subscription import Subscription
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import decoded, definition, serialize
 from fej_slam_ros.ros.messages.outgoing import view_frames
-from fej_slam_ros.ros.nodes.ros_process import CheckedClockNode, is_installed, message_class, ros
+from fej_slam_ros.ros.nodes.endpoints import is_installed, message_class
+from fej_slam_ros.ros.nodes.parameter_node import CheckedClockNode
+from fej_slam_ros.ros.nodes.ros_process import ros
 from fej_slam_ros.ros.session.inputs import ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.live_plots import (
     CONSISTENCY, consistency, FRAMES, PlottedNode, SCHEMA)

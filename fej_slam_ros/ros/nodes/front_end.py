@@ -13,16 +13,16 @@ from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 
 from fej_slam_ros.core.parameter_kinds import Parameter
-from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
 from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.clock_watch import NO_CLOCK
+from fej_slam_ros.ros.nodes.endpoints import (
+    check_topic_names, is_installed, message_class, wait_for_arrival)
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
-from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
-from fej_slam_ros.ros.nodes.ros_process import (
-    check_topic_names, debian_package, descriptor, is_installed, MAX_LAST_STEPS_TIME,
-    message_class, ParameterNode, ros, wait_for_arrival)
-from fej_slam_ros.ros.nodes.topics import front_end_qos, input_qos
+from fej_slam_ros.ros.nodes.parameter_node import descriptor, ParameterNode
+from fej_slam_ros.ros.nodes.qos import front_end_qos, input_qos, overridable
+from fej_slam_ros.ros.nodes.qos_watch import QosWatch
+from fej_slam_ros.ros.nodes.ros_process import MAX_LAST_STEPS_TIME, ros
 from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES, Value
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
@@ -189,12 +189,3 @@ class FrontEndNode(ParameterNode):
         self._used[robot] = used, reports
         is_silent = used > 0 and reports >= PATIENCE
         return 'its scans have stopped, or none is usable any more' if is_silent else ''
-
-
-def check_installed(type_names: Iterable[str]) -> None:
-    """Raise UserError if the package of a message type is not installed."""
-    for type_name in type_names:
-        if not is_installed(type_name):
-            raise UserError(
-                f'messages of {type_name} need the package {type_name.partition("/")[0]}: apt'
-                f' install {debian_package(type_name)}, or source the workspace that has it')

@@ -9,7 +9,7 @@ from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.nodes.ros_process import ParameterNode
+from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE

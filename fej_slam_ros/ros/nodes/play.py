@@ -12,8 +12,9 @@ from tqdm import tqdm
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
+from fej_slam_ros.ros.nodes.endpoints import debian_package, is_installed
 from fej_slam_ros.ros.nodes.player import Player
-from fej_slam_ros.ros.nodes.ros_process import debian_package, is_installed, ros
+from fej_slam_ros.ros.nodes.ros_process import ros
 
 #: Topic of simulated time, which two publishers would set back and forth.
 CLOCK_TOPIC = 'clock'

@@ -1,74 +1,55 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service: overrides by parameters, and detection of incompatible endpoints."""
+"""Quality of service of publishers and subscriptions, and its overrides by parameters."""
 
-from collections.abc import Iterator
-from itertools import product
-
-from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.node import Node
-from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSPolicyKind, QoSProfile
+from rclpy.qos import QoSDurabilityPolicy, QoSPolicyKind, QoSProfile, QoSReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from fej_slam_ros.ros.parameters import QOS_POLICIES
-from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
+from fej_slam_ros.ros.session.frames import STATIC_TF
+from fej_slam_ros.ros.session.front_end import LANDMARK_IDS
+from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
+from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 
-#: Policies that can make a publisher and a subscription incompatible.
-CHECKED_POLICIES = ('reliability', 'durability', 'deadline', 'liveliness')
+#: Queue lengths, messages: inputs survive a stall of a second at 200 Hz. Documented in topics.md.
+INPUT_DEPTH = 200
+OUTPUT_DEPTH = 100
+#: Queue length of static transforms, one message for each node that publishes some, as in tf2.
+STATIC_DEPTH = 100
+
+
+def reliable(depth: int, latched: bool = False) -> QoSProfile:
+    """Return a reliable profile; latched publishers keep the last message for late subscribers."""
+    durability = QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE
+    return QoSProfile(
+        depth=depth, reliability=QoSReliabilityPolicy.RELIABLE, durability=durability)
+
+
+def best_effort(depth: int) -> QoSProfile:
+    """Return a best-effort profile."""
+    return QoSProfile(depth=depth, reliability=QoSReliabilityPolicy.BEST_EFFORT)
+
+
+def input_qos(topic: str) -> QoSProfile:
+    """Return the quality of service of a subscription, unless overridden."""
+    if topic.endswith(STATIC_TF):
+        return reliable(STATIC_DEPTH, latched=True)
+    return reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
+
+
+def output_qos(topic: str) -> QoSProfile:
+    """Return the quality of service of a publisher, unless overridden."""
+    if topic == EXCHANGE_TOPIC:
+        return best_effort(INPUT_DEPTH)
+    latched = topic.endswith(('landmarks', 'base_node'))
+    return reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH)
+
+
+def front_end_qos(topic: str) -> QoSProfile:
+    """Return the quality of service of what a front end publishes: landmarks are scans there."""
+    return reliable(1, latched=True) if topic == LANDMARK_IDS else reliable(OUTPUT_DEPTH)
 
 
 def overridable() -> QoSOverridingOptions:
     """Return options that let parameters override every policy."""
     return QoSOverridingOptions([QoSPolicyKind[policy.upper()] for policy in QOS_POLICIES])
-
-
-class QosWatch:
-    """
-    Finds endpoints of other nodes that are incompatible with those of a node.
-
-    DDS reports when one appears, but not when it disappears, so the graph is checked for that.
-
-    """
-
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._recorded: set[str] = set()
-
-    def subscription_events(self, topic: str) -> SubscriptionEventCallbacks:
-        """Return the callbacks that record incompatible publishers on a topic."""
-        return SubscriptionEventCallbacks(incompatible_qos=lambda _: self._record(topic))
-
-    def publisher_events(self, topic: str) -> PublisherEventCallbacks:
-        """Return the callbacks that record incompatible subscriptions of a topic."""
-        return PublisherEventCallbacks(incompatible_qos=lambda _: self._record(topic))
-
-    def incompatible(self) -> list[IncompatibleQos]:
-        """Return the present incompatibilities, each once."""
-        return list(dict.fromkeys(
-            endpoint for topic in sorted(self._recorded) for endpoint in self._endpoints(topic)))
-
-    def _record(self, topic: str) -> None:
-        self._recorded.add(self._node.resolve_topic_name(topic))
-
-    def _endpoints(self, topic: str) -> Iterator[IncompatibleQos]:
-        publishers = self._node.get_publishers_info_by_topic(topic)
-        subscriptions = self._node.get_subscriptions_info_by_topic(topic)
-        for publisher, subscription in product(publishers, subscriptions):
-            for policy in _disagreements(publisher.qos_profile, subscription.qos_profile):
-                if self._is_own(subscription):
-                    yield IncompatibleQos(topic, 'subscription', policy)
-                elif self._is_own(publisher):
-                    yield IncompatibleQos(topic, 'publisher', policy)
-
-    def _is_own(self, endpoint: TopicEndpointInfo) -> bool:
-        own = self._node.get_name(), self._node.get_namespace()
-        return own == (endpoint.node_name, endpoint.node_namespace)
-
-
-def _disagreements(offered: QoSProfile, requested: QoSProfile) -> Iterator[str]:
-    for policy in CHECKED_POLICIES:
-        ends = (
-            QoSProfile(depth=1, **{policy: getattr(qos, policy)}) for qos in (offered, requested))
-        if qos_check_compatible(*ends)[0] == QoSCompatibility.ERROR:
-            yield policy

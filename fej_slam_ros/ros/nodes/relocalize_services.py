@@ -19,7 +19,8 @@ from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages import outgoing, serialize
-from fej_slam_ros.ros.nodes.ros_process import message_class, reliable
+from fej_slam_ros.ros.nodes.endpoints import message_class
+from fej_slam_ros.ros.nodes.qos import reliable
 from fej_slam_ros.ros.session.inputs import ROBOT_TOPICS
 
 #: Queue length of the requests, messages.

@@ -27,10 +27,10 @@ from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
 from fej_slam_ros.ros.nodes.clock_watch import ClockWatch
+from fej_slam_ros.ros.nodes.endpoints import check_topic_names, is_installed
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
-from fej_slam_ros.ros.nodes.ros_process import check_topic_names, is_installed
 from fej_slam_ros.ros.nodes.run_saver import RunSaver
 from fej_slam_ros.ros.nodes.settings_node import SettingsNode
 from fej_slam_ros.ros.nodes.topics import NodeTopics

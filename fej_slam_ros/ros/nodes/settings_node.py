@@ -10,8 +10,9 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter as RosParameter
 
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.nodes.endpoints import is_installed
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
-from fej_slam_ros.ros.nodes.ros_process import descriptor, is_installed
+from fej_slam_ros.ros.nodes.parameter_node import descriptor
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 

@@ -9,8 +9,9 @@ from rclpy.parameter import Parameter
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.object_formats import FORMATS
+from fej_slam_ros.ros.nodes.parameter_node import descriptor, ParameterNode
 from fej_slam_ros.ros.nodes.player import Player
-from fej_slam_ros.ros.nodes.ros_process import descriptor, ParameterNode, ros
+from fej_slam_ros.ros.nodes.ros_process import ros
 from fej_slam_ros.ros.session import simulated_input, simulation
 from fej_slam_ros.ros.session.detector_session import LASER_SCAN
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS

@@ -7,50 +7,20 @@ from collections.abc import Callable, Iterable, Mapping
 from time import monotonic
 
 from rclpy.lifecycle import LifecyclePublisher
-from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 
 from fej_slam_ros.ros.messages import prepare, serialize
+from fej_slam_ros.ros.nodes.endpoints import message_class, taken_message, wait_for_arrival
 from fej_slam_ros.ros.nodes.first_messages import FirstMessages
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
-from fej_slam_ros.ros.nodes.qos import overridable, QosWatch
-from fej_slam_ros.ros.nodes.ros_process import (
-    best_effort, message_class, reliable, taken_message, wait_for_arrival)
+from fej_slam_ros.ros.nodes.qos import INPUT_DEPTH, input_qos, output_qos, overridable
+from fej_slam_ros.ros.nodes.qos_watch import QosWatch
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
-from fej_slam_ros.ros.session.frames import STATIC_TF
-from fej_slam_ros.ros.session.front_end import LANDMARK_IDS
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
-from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import Publication
-from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 
-#: Queue lengths, messages: inputs survive a stall of a second at 200 Hz. Documented in topics.md.
-INPUT_DEPTH = 200
-OUTPUT_DEPTH = 100
-#: Queue length of static transforms, one message for each node that publishes some, as in tf2.
-STATIC_DEPTH = 100
 #: Time [s] for which Fast DDS may list the publishers of a killed node, and some more.
 MAX_MATCHED_AFTER_DEATH = 22.0
-
-
-def input_qos(topic: str) -> QoSProfile:
-    """Return the quality of service of a subscription, unless overridden."""
-    if topic.endswith(STATIC_TF):
-        return reliable(STATIC_DEPTH, latched=True)
-    return reliable(1, latched=True) if topic == TRUE_LANDMARKS else best_effort(INPUT_DEPTH)
-
-
-def output_qos(topic: str) -> QoSProfile:
-    """Return the quality of service of a publisher, unless overridden."""
-    if topic == EXCHANGE_TOPIC:
-        return best_effort(INPUT_DEPTH)
-    latched = topic.endswith(('landmarks', 'base_node'))
-    return reliable(1, latched=True) if latched else reliable(OUTPUT_DEPTH)
-
-
-def front_end_qos(topic: str) -> QoSProfile:
-    """Return the quality of service of what a front end publishes: landmarks are scans there."""
-    return reliable(1, latched=True) if topic == LANDMARK_IDS else reliable(OUTPUT_DEPTH)
 
 
 class NodeTopics:

@@ -8,7 +8,7 @@ from helpers.optional import optional
 
 nav_msgs = optional('nav_msgs.msg')
 first_messages = optional('fej_slam_ros.ros.nodes.first_messages')
-ros_process = optional('fej_slam_ros.ros.nodes.ros_process')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = pytest.mark.ros
 
@@ -20,7 +20,7 @@ class Listener:
         self.count = first_messages.FirstMessages(node)
         self.received = []
         subscription = node.create_subscription(
-            nav_msgs.Odometry, 'r1/odom', self._receive, ros_process.best_effort(200), raw=True)
+            nav_msgs.Odometry, 'r1/odom', self._receive, qos.best_effort(200), raw=True)
         self.count.watch('r1/odom', subscription)
 
     def missed(self):
@@ -41,7 +41,7 @@ def odometry(x):
 @pytest.mark.parametrize('missed', [0, 7])
 def test_the_number_is_that_of_the_messages_sent_before(domain, missed):
     publisher = domain.node.create_publisher(
-        nav_msgs.Odometry, 'r1/odom', ros_process.best_effort(200))
+        nav_msgs.Odometry, 'r1/odom', qos.best_effort(200))
     for k in range(missed):
         publisher.publish(odometry(k))
     listener = Listener(domain.node)

@@ -21,7 +21,7 @@ from helpers.ros import header, meeting, meeting_truth, raw, raw_record
 
 foxglove_client = optional('helpers.foxglove_client')
 live_helpers = optional('helpers.live')
-process = optional('fej_slam_ros.ros.nodes.ros_process')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 
 pytestmark = [pytest.mark.ros, pytest.mark.needs('foxglove', 'websockets')]
 
@@ -112,7 +112,7 @@ def test_a_publisher_of_another_quality_of_service_replaces_the_first(viewed):
 
     viewed.domain.node.destroy_publisher(first)
     second = viewed.domain.node.create_publisher(
-        live_helpers.message_class(live_helpers.POSE), 'r1/pose', process.best_effort(10))
+        live_helpers.message_class(live_helpers.POSE), 'r1/pose', qos.best_effort(10))
     viewed.wait_until_wanted(second)
     second.publish(pose_message(7))
 

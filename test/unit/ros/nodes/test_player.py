@@ -13,9 +13,10 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 from fej_slam_ros.ros.files import bags
 from helpers.optional import optional
 from helpers.ros import (
-    meeting, meeting_truth, ODOMETRY, odometry_message, raw, run_verb, write_bag,
-    write_parameters)
+    meeting, meeting_truth, ODOMETRY, odometry_message, raw, run_verb, write_bag, write_parameters)
 
+endpoints = optional('fej_slam_ros.ros.nodes.endpoints')
+qos = optional('fej_slam_ros.ros.nodes.qos')
 process = optional('fej_slam_ros.ros.nodes.ros_process')
 live_helpers = optional('helpers.live')
 player = optional('fej_slam_ros.ros.nodes.player')
@@ -53,7 +54,7 @@ def node(domain):
 
 def test_topics_of_packages_that_are_not_installed_are_left_out(domain, bag, tmp_path):
     # tf2_msgs is not on PyPI; where it is installed, this test has nothing to show.
-    if process.is_installed('tf2_msgs/msg/TFMessage'):
+    if endpoints.is_installed('tf2_msgs/msg/TFMessage'):
         pytest.skip('tf2_msgs is installed')
     team = write_parameters(tmp_path / 'team.yaml', robots=['r1', 'r2'])
     words = bag, '--params', team, '--output', tmp_path / 'out', '--bag'
@@ -77,7 +78,7 @@ def test_a_late_subscriber_gets_the_static_transforms_of_all_nodes(domain, node)
     heard = []
     domain.node.create_subscription(
         live_helpers.message_class(ODOMETRY), '/tf_static', heard.append,
-        process.reliable(100, latched=True), raw=True)
+        qos.reliable(100, latched=True), raw=True)
     domain.until(lambda: len(heard) == 3)
 
     assert heard == [live_helpers.on_the_wire(message.raw) for message in sent]

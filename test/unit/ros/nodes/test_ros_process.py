@@ -3,7 +3,7 @@
 """A signal at any moment ends a wait for it."""
 
 import signal
-from time import monotonic, sleep
+from time import monotonic
 
 import pytest
 
@@ -36,28 +36,6 @@ def test_a_signal_may_come_at_any_moment_of_a_wait(alarms):
             alarms(stop)
             while not stop.is_set():
                 stop.wait(1e-5)
-
-
-class Silent:
-    """A publisher whose subscriber acknowledges nothing."""
-
-    def __init__(self):
-        self.waits = 0
-
-    def wait_for_all_acked(self, timeout):
-        self.waits += 1
-        sleep(timeout.nanoseconds * 1e-9)
-        return False
-
-
-def test_the_wait_for_acknowledgements_ends_when_it_is_urgent():
-    publishers = [Silent(), Silent()]
-    began = monotonic()
-
-    process.wait_for_arrival(publishers, lambda: publishers[0].waits == 3)
-
-    assert [publisher.waits for publisher in publishers] == [3, 0]
-    assert monotonic() - began < process.MAX_ACK_WAIT
 
 
 def test_an_urgent_request_is_also_one_to_end():

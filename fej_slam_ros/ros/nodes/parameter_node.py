@@ -1,0 +1,134 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that check what rclpy passes on unchecked: simulated time, parameters and requests."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from rcl_interfaces.msg import (
+    FloatingPointRange, IntegerRange, Parameter as ParameterMessage, ParameterDescriptor,
+    SetParametersResult)
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.exceptions import NameValidationException
+from rclpy.node import Node
+from rclpy.parameter import Parameter as RosParameter
+from rclpy.service import Service
+from rclpy.subscription import Subscription
+from rclpy.timer import Timer
+from rosgraph_msgs.msg import Clock
+
+from fej_slam_ros.core.parameter_kinds import Parameter
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.nodes.ros_process import first_line
+from fej_slam_ros.ros.parameters.parsing import MAX_WARNINGS, shortened
+
+#: Maximum number of parameters in one request; 20 robots have 400.
+MAX_REQUEST = 500
+#: Codes of the types of parameters.
+KNOWN_TYPES = {kind.value for kind in RosParameter.Type}
+
+
+class CheckedClockNode(Node):
+    """A node that ignores simulated time out of range, with which another node would end it."""
+
+    def create_subscription(
+        self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **kwargs: Any
+    ) -> Subscription:
+        """Create a subscription; that of the clock is created by rclpy."""
+        def receive(message: Clock) -> None:
+            if message.clock.sec >= 0 and message.clock.nanosec < NS:
+                callback(message)
+
+        of_clock = msg_type is Clock
+        return super().create_subscription(
+            msg_type, topic, receive if of_clock else callback, *args, **kwargs)
+
+
+class ParameterNode(CheckedClockNode):
+    """
+    A node with all parameters that were passed to it, still unchecked.
+
+    Attributes
+    ----------
+    given : value of each parameter by full name
+
+    """
+
+    def __init__(self, name: str) -> None:
+        try:
+            super().__init__(name, automatically_declare_parameters_from_overrides=True)
+        except ValueError as error:
+            raise UsageError(
+                'a parameter is an empty list, which has no type: leave it out, or fill it,'
+                ' for example robots: [r1, r2]') from error
+        except (RuntimeError, NameValidationException) as error:
+            raise UsageError(f'ROS cannot create the node: {first_line(error)}') from error
+        overrides: dict[str, Any] = self.get_parameters_by_prefix('')
+        self.given = {name: parameter.value for name, parameter in overrides.items()}
+        for service in self.services:
+            if service.srv_type in {SetParameters, SetParametersAtomically}:
+                service.callback = partial(self._answer, service.callback)
+
+    # What was ready when one of these is destroyed still waits for the executor, which would call
+    # it.
+
+    def destroy_service(self, service: Service) -> bool:
+        """Destroy a service; requests to it that wait for the executor are dropped."""
+        # An answer would end the node.
+        vars(service).update(
+            callback=lambda _request, response: response,
+            send_response=lambda _response, _header: None)
+        return bool(super().destroy_service(service))
+
+    def destroy_subscription(self, subscription: Subscription) -> bool:
+        """Destroy a subscription; messages on it that wait for the executor are dropped."""
+        subscription.callback = lambda _message: None
+        return bool(super().destroy_subscription(subscription))
+
+    def destroy_timer(self, timer: Timer) -> bool:
+        """Destroy a timer, also if it is due."""
+        timer.callback = lambda: None
+        return bool(super().destroy_timer(timer))
+
+    def _answer(self, set_all: Callable[[Any, Any], Any], request: Any, response: Any) -> Any:
+        """Set the parameters of a request, or refuse all if rclpy would end or block the node."""
+        reason = self._request_fault(request.parameters)
+        if not reason:
+            return set_all(request, response)
+        refused = SetParametersResult(successful=False, reason=reason)
+        if isinstance(response, SetParameters.Response):
+            response.results = [refused for _ in request.parameters]
+        else:
+            response.result = refused
+        return response
+
+    def _request_fault(self, parameters: Sequence[ParameterMessage]) -> str:
+        if len(parameters) > MAX_REQUEST:
+            return f'a request sets at most {MAX_REQUEST} parameters: send several'
+        for parameter in parameters:
+            if parameter.value.type not in KNOWN_TYPES:
+                return (
+                    f'parameter {shortened(parameter.name)!r} has the type'
+                    f' {parameter.value.type}, which ROS does not define')
+        unknown = [
+            requested.name for requested in parameters if not self.has_parameter(requested.name)]
+        if len(unknown) > MAX_WARNINGS:
+            return f'{len(unknown)} parameters are unknown, such as {shortened(unknown[0])!r}'
+        return ''
+
+
+def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
+    """Return a descriptor with the range of a parameter, or with words where no range is exact."""
+    kind = parameter.kind
+    described = ParameterDescriptor(description=str(parameter), read_only=read_only)
+    within = kind.within
+    if within is None or within.excludes_low or kind.shape:
+        described.additional_constraints = kind.expected
+    if within is not None and kind.element is int:
+        described.integer_range = [IntegerRange(from_value=within.low, to_value=within.high)]
+    elif within is not None:
+        described.floating_point_range = [
+            FloatingPointRange(from_value=float(within.low), to_value=float(within.high))]
+    return described
