@@ -48,9 +48,8 @@ class EstimatorNode(SessionNode):
         self._has_served = False
         self.start()
 
-    def new_session(self, settings: RunSettings) -> EstimatorSession:
+    def new_session(self, settings: RunSettings, folder: Path | None) -> EstimatorSession:
         """Return a new session, which may continue from a checkpoint."""
-        folder = Path(settings.node.output) if settings.node.output else None
         # A reset needs no file that may be gone.
         prior = self._session.prior if self._has_session else None
         session = EstimatorSession(
@@ -68,7 +67,7 @@ class EstimatorNode(SessionNode):
                 self._last_input = None
                 while self._publish(self._session.release(1)) and not self._has_served:
                     pass
-            self.is_behind = self._publish_next_map() or is_late or self._has_served
+            self.is_behind = self.publish_next_map() or is_late or self._has_served
         self._saver.work(self._settings.node.autosave_period)
 
     def _publish_due_steps(self) -> bool:

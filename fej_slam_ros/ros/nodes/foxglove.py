@@ -9,11 +9,8 @@ from time import monotonic
 
 import foxglove
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener, WebSocketServer
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.experimental.events_executor import EventsExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
@@ -66,7 +63,7 @@ class View(ServerListener):
 
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: CheckedClockNode) -> None:
         self.context = foxglove.Context()
         self._node = node
         self._types: dict[str, str] = {}
@@ -77,8 +74,7 @@ class View(ServerListener):
             CONSISTENCY: ServedTopic(
                 foxglove.Channel(CONSISTENCY, schema=SCHEMA, context=self.context)),
             FRAMES: ServedTopic(self._channel(FRAMES, TF_TYPE))}
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(TOPIC_CHECK_PERIOD, self._update, clock=steady)
+        node.create_steady_timer(TOPIC_CHECK_PERIOD, self._update)
 
     def on_subscribe(self, client: Client, channel: ChannelView) -> None:
         """Send the newest message to a new client; called from a thread of the server."""

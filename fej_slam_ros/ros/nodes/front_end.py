@@ -7,8 +7,6 @@ from functools import partial
 from itertools import chain
 from time import monotonic
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 
@@ -19,19 +17,17 @@ from fej_slam_ros.ros.nodes.clock_watch import NO_CLOCK
 from fej_slam_ros.ros.nodes.endpoints import (
     check_topic_names, is_installed, message_class, wait_for_arrival)
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
-from fej_slam_ros.ros.nodes.parameter_node import descriptor, ParameterNode
+from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 from fej_slam_ros.ros.nodes.qos import front_end_qos, input_qos, overridable
 from fej_slam_ros.ros.nodes.qos_watch import QosWatch
 from fej_slam_ros.ros.nodes.ros_process import MAX_LAST_STEPS_TIME, ros
-from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, QOS_OVERRIDES, Value
-from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
+from fej_slam_ros.ros.parameters import Value
+from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD, IncompatibleQos
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import Publication
 
-#: Period of the diagnostics [s].
-REPORT_PERIOD = 1.0
 #: Number of reports that have the same warning before it is logged.
 PATIENCE = 5
 #: Longest time [s] for which messages are added before they are processed, and for which they are
@@ -98,12 +94,7 @@ class FrontEndNode(ParameterNode):
     ) -> None:
         """Declare the parameters by their values, and create publishers and subscriptions."""
         self._front_end = front_end
-        for name in self.given.keys() - PARAMETERS_OF_ROS:
-            if not name.startswith(QOS_OVERRIDES):
-                self.undeclare_parameter(name)
-        for name, value in values.items():
-            described = descriptor(known[name], read_only=True)
-            self.declare_parameter(name, value, described, ignore_override=True)
+        self.redeclare(values, known)
         check_topic_names(self, [*front_end.topics, *front_end.outputs])
         self._outputs = {
             topic: self.create_publisher(message_class(type_name), topic, front_end_qos(topic))
@@ -115,9 +106,7 @@ class FrontEndNode(ParameterNode):
             self.get_logger().info(
                 'the places of sensors are not read from /tf_static because tf2_msgs is missing:'
                 ' apt install ros-jazzy-tf2-msgs')
-        # Reports do not wait for simulated time.
-        self.create_timer(
-            REPORT_PERIOD, self._report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_steady_timer(DIAGNOSTICS_PERIOD, self._report)
 
     def work(self) -> None:
         """Publish what needs no further messages, for a limited time."""

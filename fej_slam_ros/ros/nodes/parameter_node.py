@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nodes that check what rclpy passes on unchecked: simulated time, parameters and requests."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -10,18 +10,21 @@ from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, Parameter as ParameterMessage, ParameterDescriptor,
     SetParametersResult)
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
-from rosgraph_msgs.msg import Clock
+from rosgraph_msgs.msg import Clock as ClockMessage
 
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.nodes.ros_process import first_line
+from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, Value
 from fej_slam_ros.ros.parameters.parsing import MAX_WARNINGS, shortened
 
 #: Maximum number of parameters in one request; 20 robots have 400.
@@ -37,13 +40,17 @@ class CheckedClockNode(Node):
         self, msg_type: Any, topic: str, callback: Callable[..., None], *args: Any, **kwargs: Any
     ) -> Subscription:
         """Create a subscription; that of the clock is created by rclpy."""
-        def receive(message: Clock) -> None:
+        def receive(message: ClockMessage) -> None:
             if message.clock.sec >= 0 and message.clock.nanosec < NS:
                 callback(message)
 
-        of_clock = msg_type is Clock
+        of_clock = msg_type is ClockMessage
         return super().create_subscription(
             msg_type, topic, receive if of_clock else callback, *args, **kwargs)
+
+    def create_steady_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Create a timer of a period [s] that does not wait for simulated time."""
+        return self.create_timer(period, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
 class ParameterNode(CheckedClockNode):
@@ -70,6 +77,22 @@ class ParameterNode(CheckedClockNode):
         for service in self.services:
             if service.srv_type in {SetParameters, SetParametersAtomically}:
                 service.callback = partial(self._answer, service.callback)
+
+    def redeclare(
+        self, values: Mapping[str, Value], known: Mapping[str, Parameter],
+        changeable: Collection[str] = (),
+    ) -> None:
+        """
+        Declare the parameters again by their checked values: an integer has become a float.
+
+        Overrides of the quality of service are declared with their topics.
+
+        """
+        for name in self.given.keys() - PARAMETERS_OF_ROS:
+            self.undeclare_parameter(name)
+        for name, value in values.items():
+            described = _descriptor(known[name], read_only=name not in changeable)
+            self.declare_parameter(name, value, described, ignore_override=True)
 
     # What was ready when one of these is destroyed still waits for the executor, which would call
     # it.
@@ -119,7 +142,7 @@ class ParameterNode(CheckedClockNode):
         return ''
 
 
-def descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
+def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
     """Return a descriptor with the range of a parameter, or with words where no range is exact."""
     kind = parameter.kind
     described = ParameterDescriptor(description=str(parameter), read_only=read_only)

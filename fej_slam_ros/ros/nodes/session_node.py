@@ -15,8 +15,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from rclpy.timer import Timer
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.core.pieces import between_pieces, EndedError
@@ -35,15 +34,13 @@ from fej_slam_ros.ros.nodes.run_saver import RunSaver
 from fej_slam_ros.ros.nodes.settings_node import SettingsNode
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
-from fej_slam_ros.ros.session.diagnostics import also_published
+from fej_slam_ros.ros.session.diagnostics import also_published, DIAGNOSTICS_PERIOD
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.late_starts import NothingMissed
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 from fej_slam_ros.ros.session.session import Session
 
-#: Period of /diagnostics [s], as REP-107 recommends.
-DIAGNOSTICS_PERIOD = 1.0
 #: Time [ns] by which a clock that goes back is still the same one.
 MAX_CLOCK_JITTER = NS // 10
 
@@ -54,9 +51,8 @@ class SessionNode(SettingsNode):
 
     Attributes
     ----------
-    received : number of messages received
-    callbacks : number of callbacks handled
     exit_status : of the process: 1 if files are not complete
+    received : number of messages received
     taken : number of messages taken without the executor since its last rounds
     is_active : whether the node is in the lifecycle state active
     is_behind : whether more work is due immediately, even without a message
@@ -70,7 +66,7 @@ class SessionNode(SettingsNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self.received = self.callbacks = self.taken = 0
+        self.received = self.taken = 0
         self.is_active = self.is_behind = False
         self.is_overdue: Callable[[], bool] = lambda: False
         self.is_urgent: Callable[[], bool] = lambda: False
@@ -89,8 +85,8 @@ class SessionNode(SettingsNode):
         # Callbacks that undo `configure` and `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
 
-    def new_session(self, settings: RunSettings) -> Session:
-        """Return a new session."""
+    def new_session(self, settings: RunSettings, folder: Path | None) -> Session:
+        """Return a new session with a folder for its files, None for no files."""
         raise NotImplementedError
 
     @property
@@ -140,14 +136,9 @@ class SessionNode(SettingsNode):
         self.is_active = True
         self._activated.callback(self._topics.match_inputs, {})
         self._match_topics()
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self._map_timer, _ = timers = [
-            self.create_timer(period, self.timed_callback()(callback), clock=steady)
-            for period, callback in (
-                (self._settings.node.map_period, self._renew_pending_maps),
-                (DIAGNOSTICS_PERIOD, self._publish_diagnostics))]
-        for timer in timers:
-            self._activated.callback(self.destroy_timer, timer)
+        self._map_timer = self.start_timer(
+            self._settings.node.map_period, self._renew_pending_maps)
+        self.start_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self._warn_of_unused_overrides()
         self.get_logger().info('active')
 
@@ -193,9 +184,14 @@ class SessionNode(SettingsNode):
         """Measure a callback, which blocks all others for its duration."""
         begin = perf_counter()
         yield
-        self.callbacks += 1
         if self._has_session:
             self._session.diagnostics.callback_times.append(perf_counter() - begin)
+
+    def start_timer(self, period: float, callback: Callable[[], None]) -> Timer:
+        """Call a function once in a period [s] of real time until the node is inactive."""
+        timer = self.create_steady_timer(period, self.timed_callback()(callback))
+        self._activated.callback(self.destroy_timer, timer)
+        return timer
 
     def _change_parameters(self, values: Mapping[str, Any]) -> None:
         """Change the parameters of the node, or raise a UserError before any is changed."""
@@ -246,7 +242,8 @@ class SessionNode(SettingsNode):
 
     def _start_session(self, settings: RunSettings) -> None:
         self._files.begin()
-        self._session = self.new_session(settings)
+        folder = Path(settings.node.output) if settings.node.output else None
+        self._session = self.new_session(settings, folder)
         if settings.node.restore:
             self.get_logger().info(
                 f'the run continues from {settings.node.restore}' if self._session.is_restored else
@@ -340,7 +337,7 @@ class SessionNode(SettingsNode):
         stale_after = self._settings.estimation.stale_after * 1e9
         return not -MAX_CLOCK_JITTER <= now - self._last_input <= stale_after
 
-    def _publish_next_map(self) -> bool:
+    def publish_next_map(self) -> bool:
         """Publish one pending map or path; return whether there was any, and time for it."""
         # At the end of the process, all are published once more.
         return (
@@ -348,7 +345,7 @@ class SessionNode(SettingsNode):
 
     def _renew_pending_maps(self) -> None:
         # Maps that take longer than the period are published completely first.
-        if not self._publish_next_map():
+        if not self.publish_next_map():
             self._pending_maps = self._session.outputs.maps_and_paths(self._topics.is_wanted)
 
     def _publish_maps_and_diagnostics(self) -> None:

@@ -12,7 +12,6 @@ from rclpy.parameter import Parameter as RosParameter
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.endpoints import is_installed
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
-from fej_slam_ros.ros.nodes.parameter_node import descriptor
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 
@@ -56,13 +55,7 @@ class SettingsNode(ManagedNode):
         known = parameters.known_parameters(robots)
         changeable = parameters.changeable_parameters(robots, self.audience)
         self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
-        for name in self.given.keys() - parameters.PARAMETERS_OF_ROS:
-            self.undeclare_parameter(name)
-        # Parameters are declared again as parsed: an integer has become a float. Overrides of the
-        # quality of service are declared with their topics.
-        for name, value in parameters.as_parameters(settings).items():
-            described = descriptor(known[name], read_only=name not in changeable)
-            self.declare_parameter(name, value, described, ignore_override=True)
+        self.redeclare(parameters.as_parameters(settings), known, changeable)
         without: dict[str, Any] = {self.tf_parameter: False}
         return replace(
             settings, node=replace(settings.node, **without)) if self._lacks_tf() else settings

@@ -9,7 +9,7 @@ from rclpy.parameter import Parameter
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.object_formats import FORMATS
-from fej_slam_ros.ros.nodes.parameter_node import descriptor, ParameterNode
+from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import ros
 from fej_slam_ros.ros.session import simulated_input, simulation
@@ -53,12 +53,7 @@ class SimulatorNode(ParameterNode):
         self.simulated = simulation.parse(self.given, self.get_logger().warning)
         self.has_simulated_time = (
             self.simulated.clock or bool(self.get_parameter('use_sim_time').value))
-        for name in self.given.keys() - parameters.PARAMETERS_OF_ROS:
-            self.undeclare_parameter(name)
-        # They are declared again as parsed: an integer has become a float.
-        for name, value in simulation.as_parameters(self.simulated).items():
-            described = descriptor(simulation.PARAMETERS[name], read_only=True)
-            self.declare_parameter(name, value, described, ignore_override=True)
+        self.redeclare(simulation.as_parameters(self.simulated), simulation.PARAMETERS)
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""

@@ -14,9 +14,6 @@ import sys
 from time import perf_counter, sleep
 from typing import Any
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
-
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
@@ -55,9 +52,8 @@ class SmootherNode(SessionNode):
         self._solving_since: float | None = None
         self.start()
 
-    def new_session(self, settings: RunSettings) -> SmootherSession:
+    def new_session(self, settings: RunSettings, folder: Path | None) -> SmootherSession:
         """Return a new session, which solves for no complete map in this process."""
-        folder = Path(settings.node.output) if settings.node.output else None
         new = (
             partial(PeerSession, open_exchange=self._files.open_exchange) if settings.node.peers
             else SmootherSession)
@@ -86,7 +82,7 @@ class SmootherNode(SessionNode):
     def work(self) -> None:
         """Do one of: exchange a solution with the worker, add poses, publish a pending map."""
         self.is_behind = (
-            self._exchange_solution() or self._add_poses() or self._publish_next_map())
+            self._exchange_solution() or self._add_poses() or self.publish_next_map())
         self._saver.work(self._settings.node.autosave_period)
 
     def _start_session(self, settings: RunSettings) -> None:
@@ -99,12 +95,8 @@ class SmootherNode(SessionNode):
     def activate(self) -> None:
         """Subscribe to the inputs and start the timers, that of the exchange too."""
         super().activate()
-        if not self._settings.node.peers:
-            return
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        timer = self.create_timer(
-            EXCHANGE_PERIOD, self.timed_callback()(self._exchange), clock=steady)
-        self._activated.callback(self.destroy_timer, timer)
+        if self._settings.node.peers:
+            self.start_timer(EXCHANGE_PERIOD, self._exchange)
 
     def _exchange(self) -> None:
         """Publish what is due to be sent to other smoothers."""

@@ -19,6 +19,8 @@ from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import ConsumerT, DIAGNOSTICS_TOPIC, Publication
 from fej_slam_ros.ros.session.percentiles import percentiles
 
+#: Period of the reports [s], as REP-107 recommends.
+DIAGNOSTICS_PERIOD = 1.0
 #: Maximum number of durations stored between two reports: ten seconds of steps at 1 kHz.
 MAX_TIMES = 10_000
 
