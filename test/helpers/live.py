@@ -23,6 +23,7 @@ from fej_slam_ros.ros.nodes.endpoints import message_class
 from fej_slam_ros.ros.nodes.estimator import EstimatorNode
 from fej_slam_ros.ros.nodes.event_loop import serve
 from fej_slam_ros.ros.nodes.qos import reliable
+from fej_slam_ros.ros.nodes.ros_process import Stop
 from helpers.processes import DEADLINE, end_session, start_verb, until
 from helpers.ros import write_parameters
 
@@ -116,7 +117,7 @@ class Domain:
         with TemporaryDirectory() as folder:
             path = write_parameters(Path(folder) / 'parameters.yaml', **values)
             self._init(['--ros-args', '--params-file', str(path), *ros_args])
-            self._estimator = self._added(EstimatorNode())
+            self._estimator = self._added(EstimatorNode(self._stack.enter_context(Stop())))
         return self._estimator
 
     def has_publisher(self, topic):

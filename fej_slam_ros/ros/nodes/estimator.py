@@ -13,6 +13,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.nodes.event_loop import spin
+from fej_slam_ros.ros.nodes.ros_process import Stop
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -41,8 +42,8 @@ class EstimatorNode(SessionNode):
     tf_parameter = 'publish_tf'
     _session: EstimatorSession
 
-    def __init__(self) -> None:
-        super().__init__('estimator')
+    def __init__(self, stop: Stop) -> None:
+        super().__init__('estimator', stop)
         self._served_at = monotonic()
         self._behind_since: float | None = None
         self._has_served = False
@@ -61,13 +62,13 @@ class EstimatorNode(SessionNode):
     def work(self) -> None:
         """Process the steps that are due, and publish one pending map or path."""
         self._has_served = False
-        with between_pieces(self._serve_odometry, self.is_overdue):
+        with between_pieces(self._serve_odometry, self._stop.is_overdue):
             is_late = self._publish_due_steps()
             if self._is_input_paused():
                 self._last_input = None
                 while self._publish(self._session.release(1)) and not self._has_served:
                     pass
-            self.is_behind = self.publish_next_map() or is_late or self._has_served
+            self.is_behind = self._maps.publish_next() or is_late or self._has_served
         self._saver.work(self._settings.node.autosave_period)
 
     def _publish_due_steps(self) -> bool:

@@ -8,19 +8,17 @@ import gc
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 
-from fej_slam_ros.ros.nodes.ros_process import ros
+from fej_slam_ros.ros.nodes.ros_process import ros, Stop
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 
 #: Longest wait for a message [s]: bounds the delay of autosave and of shutdown after SIGINT.
 SPIN_TIMEOUT = 0.1
 
 
-def spin(ros_args: Sequence[str], make_node: Callable[[], SessionNode]) -> int:
+def spin(ros_args: Sequence[str], make_node: Callable[[Stop], SessionNode]) -> int:
     """Serve a new node until SIGINT, SIGTERM or its lifecycle shutdown; return its status."""
     with ros(ros_args) as stopped:
-        node = make_node()
-        node.is_overdue, node.is_urgent = stopped.is_overdue, stopped.is_urgent
-        node.check_time = stopped.check_time
+        node = make_node(stopped)
         # Existing objects are permanent, so the garbage collector need not scan them again.
         gc.collect()
         gc.freeze()

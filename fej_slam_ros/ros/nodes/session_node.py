@@ -10,7 +10,7 @@ until the end: add all messages that have arrived, then process the steps that a
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import replace
-from itertools import count, islice
+from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -25,19 +25,20 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
-from fej_slam_ros.ros.nodes.clock_watch import ClockWatch
 from fej_slam_ros.ros.nodes.endpoints import check_topic_names, is_installed
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
+from fej_slam_ros.ros.nodes.map_publisher import MapPublisher
+from fej_slam_ros.ros.nodes.node_diagnostics import NodeDiagnostics
 from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
+from fej_slam_ros.ros.nodes.ros_process import Stop
 from fej_slam_ros.ros.nodes.run_saver import RunSaver
 from fej_slam_ros.ros.nodes.settings_node import SettingsNode
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
-from fej_slam_ros.ros.session.diagnostics import also_published, DIAGNOSTICS_PERIOD
+from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.late_starts import NothingMissed
-from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 from fej_slam_ros.ros.session.session import Session
 
@@ -49,6 +50,11 @@ class SessionNode(SettingsNode):
     """
     A lifecycle node that runs a session: adds messages, publishes results.
 
+    Parameters
+    ----------
+    name : of the node
+    stop : request to end the process, which limits the work at the end
+
     Attributes
     ----------
     exit_status : of the process: 1 if files are not complete
@@ -56,32 +62,26 @@ class SessionNode(SettingsNode):
     taken : number of messages taken without the executor since its last rounds
     is_active : whether the node is in the lifecycle state active
     is_behind : whether more work is due immediately, even without a message
-    is_overdue : whether the process is to end without further steps, set by its main loop
-    is_urgent : whether it is to end without waiting for other processes, set by its main loop
-    check_time : raises EndedError if it is to end without long computations, set by its main loop
 
     """
 
     _session: Session
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, stop: Stop) -> None:
         super().__init__(name)
+        self._stop = stop
         self.received = self.taken = 0
         self.is_active = self.is_behind = False
-        self.is_overdue: Callable[[], bool] = lambda: False
-        self.is_urgent: Callable[[], bool] = lambda: False
-        self.check_time: Callable[[], None] = lambda: None
         self._last_input: int | None = None
-        self._clock_watch = ClockWatch(self)
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
+        self._maps = MapPublisher(self._topics, stop.is_overdue)
+        self._diagnostics = NodeDiagnostics(self, self._topics, self._files)
         self._saver = RunSaver(self.get_logger(), self._files, lambda: self._session)
         self._relocalize_services = RelocalizeServices(self, self._relocalization)
         self._has_session = self._is_in_step = False
         self._live_parameters = LiveParameters(
             self, self._change_parameters, self._changeable_values)
-        # Maps and paths are published one by one, so that no step waits for all of them.
-        self._pending_maps: Iterator[Publication] = iter(())
         # Callbacks that undo `configure` and `activate`.
         self._configured, self._activated = ExitStack(), ExitStack()
 
@@ -137,7 +137,7 @@ class SessionNode(SettingsNode):
         self._activated.callback(self._topics.match_inputs, {})
         self._match_topics()
         self._map_timer = self.start_timer(
-            self._settings.node.map_period, self._renew_pending_maps)
+            self._settings.node.map_period, lambda: self._maps.renew(self._session.outputs))
         self.start_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics)
         self._warn_of_unused_overrides()
         self.get_logger().info('active')
@@ -171,7 +171,7 @@ class SessionNode(SettingsNode):
         """Shut down at the end of the process; if not urgent, wait for arrival of all messages."""
         if not self.is_finalized:
             self.transition(self.trigger_shutdown)
-        self._topics.wait_for_arrival(self.is_urgent)
+        self._topics.wait_for_arrival(self._stop.is_urgent)
 
     def take_messages(self, kind: str = '') -> int:
         """Handle what has arrived on all topics, or on those of a kind; return the number."""
@@ -223,7 +223,7 @@ class SessionNode(SettingsNode):
             raise UsageError('the team can only change during a run: configure the node first')
         self._check_robots(names)
         self._session.change_team(names)
-        self._pending_maps = iter(())
+        self._maps.drop()
         self._match_topics()
 
     def _check_robots(self, names: Sequence[str]) -> None:
@@ -251,17 +251,17 @@ class SessionNode(SettingsNode):
         self._files.begun()
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._session.log.topic_name = self.resolve_topic_name
-        self._pending_maps = iter(())
+        self._maps.drop()
         self._last_input = None
 
     def _end_session(self) -> None:
         if self._settings.node.autosave_period:
             self._saver.save_last()
-        with between_pieces(lambda: None, self.is_overdue):
+        with between_pieces(lambda: None, self._stop.is_overdue):
             self._topics.publish(self._session.close())
         self.write_log()
         self._publish_maps_and_diagnostics()
-        self._session.check_time = self.check_time
+        self._session.check_time = self._stop.check_time
         state_hash = self._session.write_files()['state_hash']
         self.get_logger().info(
             f'state hash {state_hash or "is missing: the end was requested before it was known"}')
@@ -337,39 +337,15 @@ class SessionNode(SettingsNode):
         stale_after = self._settings.estimation.stale_after * 1e9
         return not -MAX_CLOCK_JITTER <= now - self._last_input <= stale_after
 
-    def publish_next_map(self) -> bool:
-        """Publish one pending map or path; return whether there was any, and time for it."""
-        # At the end of the process, all are published once more.
-        return (
-            not self.is_overdue() and self._topics.publish(islice(self._pending_maps, 1)) > 0)
-
-    def _renew_pending_maps(self) -> None:
-        # Maps that take longer than the period are published completely first.
-        if not self.publish_next_map():
-            self._pending_maps = self._session.outputs.maps_and_paths(self._topics.is_wanted)
-
     def _publish_maps_and_diagnostics(self) -> None:
         # Large maps, which take long, are left out when the process is to end.
-        with suppress(EndedError), between_pieces(self.check_time):
-            self._topics.publish(self._session.outputs.maps_and_paths(self._topics.is_wanted))
+        with suppress(EndedError), between_pieces(self._stop.check_time):
+            self._maps.publish_all(self._session.outputs)
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        diagnostics, incompatible = self._session.diagnostics, self._topics.incompatible()
-        for endpoint in incompatible:
-            if endpoint not in diagnostics.incompatible:
-                self.get_logger().error(str(endpoint))
-        diagnostics.incompatible = incompatible
-        diagnostics.file_errors = self._files.check()
-        diagnostics.publishers = self._topics.publishers(incompatible)
-        others = self._topics.other_publishers()
-        for robot in others.keys() - diagnostics.other_publishers.keys():
-            self.get_logger().warning(f'{robot}: {also_published(others[robot])}')
-        diagnostics.other_publishers = others
-        at_rest = self._last_input is None and not self.is_overdue()
-        now = self._now()
-        diagnostics.clock_fault = self._clock_watch.fault(now)
-        self._topics.publish([diagnostics.report(now or 0, at_rest)])
+        now, at_rest = self._now(), self._last_input is None and not self._stop.is_overdue()
+        self._diagnostics.publish(self._session.diagnostics, now, at_rest)
         if self.is_active:
             self._session.check(now)
             self.write_log()

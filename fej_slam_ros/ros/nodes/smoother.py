@@ -18,6 +18,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.event_loop import spin
+from fej_slam_ros.ros.nodes.ros_process import Stop
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.nodes.worker_process import FailedTask, Worker
 from fej_slam_ros.ros.parameters import RunSettings
@@ -47,8 +48,8 @@ class SmootherNode(SessionNode):
     _session: SmootherSession
     _worker: Worker
 
-    def __init__(self) -> None:
-        super().__init__('smoother')
+    def __init__(self, stop: Stop) -> None:
+        super().__init__('smoother', stop)
         self._solving_since: float | None = None
         self.start()
 
@@ -82,7 +83,7 @@ class SmootherNode(SessionNode):
     def work(self) -> None:
         """Do one of: exchange a solution with the worker, add poses, publish a pending map."""
         self.is_behind = (
-            self._exchange_solution() or self._add_poses() or self.publish_next_map())
+            self._exchange_solution() or self._add_poses() or self._maps.publish_next())
         self._saver.work(self._settings.node.autosave_period)
 
     def _start_session(self, settings: RunSettings) -> None:
@@ -136,7 +137,7 @@ class SmootherNode(SessionNode):
             self._start_worker()
         self._worker.begin(function, task)
         begin, last_death, is_noted = perf_counter(), self._worker.deaths + FINAL_ATTEMPTS, False
-        while self._worker.deaths < last_death and not self.is_urgent():
+        while self._worker.deaths < last_death and not self._stop.is_urgent():
             final = self._worker.result()
             self._report_deaths()
             if isinstance(final, FailedTask):

@@ -1,0 +1,47 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Diagnostics of a node: those of its session, and of its topics, files and clock."""
+
+from typing import Any
+
+from rclpy.node import Node
+
+from fej_slam_ros.ros.nodes.clock_watch import ClockWatch
+from fej_slam_ros.ros.nodes.node_files import NodeFiles
+from fej_slam_ros.ros.nodes.topics import NodeTopics
+from fej_slam_ros.ros.session.diagnostics import also_published, Diagnostics
+
+
+class NodeDiagnostics:
+    """
+    Publishes the diagnostics of sessions with what only their node knows, and logs what is new.
+
+    Parameters
+    ----------
+    node : that has the session
+    topics, files : of the node
+
+    """
+
+    def __init__(self, node: Node, topics: NodeTopics, files: NodeFiles) -> None:
+        self._log = node.get_logger()
+        self._topics = topics
+        self._files = files
+        self._clock_watch = ClockWatch(node)
+
+    def publish(self, diagnostics: Diagnostics[Any], now: int | None, at_rest: bool) -> None:
+        """Publish a report at a time [ns]; it is None while simulated time has not begun."""
+        self._check_topics(diagnostics)
+        diagnostics.file_errors = self._files.check()
+        diagnostics.clock_fault = self._clock_watch.fault(now)
+        self._topics.publish([diagnostics.report(now or 0, at_rest)])
+
+    def _check_topics(self, diagnostics: Diagnostics[Any]) -> None:
+        incompatible, others = self._topics.incompatible(), self._topics.other_publishers()
+        for endpoint in incompatible:
+            if endpoint not in diagnostics.incompatible:
+                self._log.error(str(endpoint))
+        for robot in others.keys() - diagnostics.other_publishers.keys():
+            self._log.warning(f'{robot}: {also_published(others[robot])}')
+        diagnostics.incompatible, diagnostics.other_publishers = incompatible, others
+        diagnostics.publishers = self._topics.publishers(incompatible)
