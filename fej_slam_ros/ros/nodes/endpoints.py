@@ -16,7 +16,7 @@ from rclpy.subscription import Subscription
 
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.nodes.ros_process import first_line
-from fej_slam_ros.ros.parameters.parsing import shortened
+from fej_slam_ros.ros.parameters.values import shortened
 
 #: Longest wait for acknowledgements of the last messages [s]: above the DDS heartbeat of 3 s.
 MAX_ACK_WAIT = 4.0

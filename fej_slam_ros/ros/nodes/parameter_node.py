@@ -25,7 +25,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.nodes.ros_process import first_line
 from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, Value
-from fej_slam_ros.ros.parameters.parsing import MAX_WARNINGS, shortened
+from fej_slam_ros.ros.parameters.values import MAX_WARNINGS, shortened
 
 #: Maximum number of parameters in one request; 20 robots have 400.
 MAX_REQUEST = 500

@@ -3,15 +3,16 @@
 """Parameters of the nodes and of ``replay``, ``smooth``, ``calibrate``: YAML, ROS and settings."""
 
 from fej_slam_ros.ros.parameters.changes import (
-    changeable_parameters, checked_changes, ParameterChange, rejection, with_node_values,
-    with_values)
+    changeable_parameters, changed_peers, changed_team, checked_changes, ParameterChange,
+    rejection, with_node_values, with_values)
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
-from fej_slam_ros.ros.parameters.parsing import (
-    changed_peers, changed_team, given_values, PARAMETERS_OF_ROS, parse, RENAMED_PARAMETERS,
-    RESERVED_NAMES, robot_names, STRICT_PARAMETERS, Warn, warn_once)
+from fej_slam_ros.ros.parameters.parsing import parse
 from fej_slam_ros.ros.parameters.schema import (
     as_parameters, Audience, deciding, declared_parameters, ESTIMATOR, known_parameters,
     QOS_OVERRIDES, QOS_POLICIES, SMOOTHER, Value)
+from fej_slam_ros.ros.parameters.values import (
+    given_values, PARAMETERS_OF_ROS, RENAMED_PARAMETERS, RESERVED_NAMES, robot_names,
+    STRICT_PARAMETERS, Warn, warn_once)
 from fej_slam_ros.ros.parameters.yaml_files import (
     dump, dump_values, load, load_parsed, load_values)
 

@@ -14,8 +14,8 @@ from fej_slam_ros.core.parameter_kinds import (
 from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
-from fej_slam_ros.ros.parameters.parsing import given_values, robot_names, Warn, warn_once
 from fej_slam_ros.ros.parameters.schema import Value
+from fej_slam_ros.ros.parameters.values import given_values, robot_names, Warn, warn_once
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed
 
 FORMAT_NAMES = Kind(
@@ -116,9 +116,9 @@ def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> Adapt
     return settings
 
 
-def load_adapter(path: Path, warn: Warn = warn_once) -> AdapterSettings:
+def load_adapter(path: Path) -> AdapterSettings:
     """Return the settings for the node ``adapter`` in a ROS parameter file."""
-    return load_parsed(path, ['adapter'], parse_adapter, warn)
+    return load_parsed(path, ['adapter'], parse_adapter)
 
 
 def adapter_values(settings: AdapterSettings) -> dict[str, Value]:

@@ -11,10 +11,11 @@ from fej_slam_ros.core.parameter_kinds import Parameter, parameters_of
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
-from fej_slam_ros.ros.parameters.parsing import (
-    check_files, checked_values, RENAMED_PARAMETERS, shortened, unknown_parameter)
+from fej_slam_ros.ros.parameters.parsing import check_files, team_names
 from fej_slam_ros.ros.parameters.schema import (
     Audience, ESTIMATOR, known_parameters, QOS_OVERRIDES, Value)
+from fej_slam_ros.ros.parameters.values import (
+    checked_values, RENAMED_PARAMETERS, robot_names, shortened, unknown_parameter)
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,53 @@ def with_values(settings: Settings, values: Iterable[tuple[str, Any]]) -> Settin
 
     """
     return reduce(_with_value, values, settings)
+
+
+def changed_team(
+    settings: Settings, robots: Mapping[str, RobotSettings], value: object
+) -> list[RobotSettings]:
+    """
+    Return the robots for a new value of the parameter ``robots`` during a run.
+
+    The present robots keep their settings; one that was not in the team at the start has the noise
+    of the team in the settings at present.
+
+    """
+    known = {robot.name: robot for robot in settings.robots} | dict(robots)
+    for name in robot_names(value):
+        if name not in known:
+            known[name] = RobotSettings(
+                name, 1 + max(robot.id for robot in known.values()),
+                **{field: getattr(settings, field) for field in parameters_of(NoiseSettings)})
+    return [known[name] for name in robot_names(value)]
+
+
+def changed_peers(
+    settings: Settings, robots: Mapping[str, RobotSettings], value: object
+) -> list[RobotSettings]:
+    """
+    Return the robots for new names of the own robot and its peers during a run.
+
+    As at the start, the ID of a robot is its position in the sorted names, on which all robots
+    agree; a UsageError says if a robot that comes would change that of another.
+
+    """
+    own, *others = robot_names(value)
+    team = changed_team(settings, robots, team_names({'robots': [own], 'peers': others or [own]}))
+    before, after = (
+        {name: k for k, name in enumerate(sorted(names), start=1)}
+        for names in (robots, [robot.name for robot in team]))
+    new, present = after.keys() - before, [robot for robot in team if robot.name in before]
+    for robot in present if new else ():
+        if robot.id == before[robot.name] != after[robot.name]:
+            raise UsageError(
+                f"parameter 'peers' would change the ID of {robot.name!r} from {robot.id} to"
+                f' {after[robot.name]}, its position in the sorted names: start again with'
+                " '<robot>.id' of each robot, or give the new robots names that come last")
+    used = {robot.id for robot in present}
+    return [
+        replace(robot, id=after[robot.name])
+        if robot.name in new and after[robot.name] not in used else robot for robot in team]
 
 
 def _with_value(settings: Settings, change: tuple[str, Any]) -> Settings:

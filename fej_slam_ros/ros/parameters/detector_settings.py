@@ -13,9 +13,8 @@ from fej_slam_ros.detection.detector import ScanDetector
 from fej_slam_ros.detection.posts import PostDetector
 from fej_slam_ros.detection.reflectors import ReflectorDetector
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters.parsing import (
-    checked_values, known_values, robot_names, Warn, warn_once)
 from fej_slam_ros.ros.parameters.schema import Value
+from fej_slam_ros.ros.parameters.values import given_values, robot_names, Warn, warn_once
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
 
 RADIUS = numbers('a number', Range(0.001, 10.0))
@@ -66,9 +65,8 @@ DETECTOR_PARAMETERS: Mapping[str, Parameter] = parameters_of(DetectorSettings)
 
 def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> DetectorSettings:
     """Return the settings that flat ROS parameters give."""
-    known = known_values(values, DETECTOR_PARAMETERS, warn)
-    robot_names(known.get('robots', []))
-    settings = DetectorSettings(**checked_values(known, DETECTOR_PARAMETERS))
+    robot_names(values.get('robots', []))
+    settings = DetectorSettings(**given_values(values, DETECTOR_PARAMETERS, warn))
     if settings.min_radius > settings.max_radius:
         raise UsageError(
             f'min_radius {settings.min_radius:g} is above max_radius {settings.max_radius:g}:'
@@ -76,9 +74,9 @@ def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> Dete
     return settings
 
 
-def load_detector(path: Path, warn: Warn = warn_once) -> DetectorSettings:
+def load_detector(path: Path) -> DetectorSettings:
     """Return the settings for the node ``detector`` in a ROS parameter file."""
-    return load_parsed(path, ['detector'], parse_detector, warn)
+    return load_parsed(path, ['detector'], parse_detector)
 
 
 def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:

@@ -1,58 +1,27 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Flat ROS parameters to settings; every mistake is a UsageError of one sentence."""
+"""Flat ROS parameters to the settings of a run; contradictions are a UsageError."""
 
-from array import array
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from difflib import get_close_matches
-from functools import cache
-import logging
-import math
-import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from fej_slam_ros.core.frame_names import own_frame
-from fej_slam_ros.core.parameter_kinds import (
-    FLAG, Kind, MAX_NAME, Parameter, parameters_of, ROBOT_NAMES)
+from fej_slam_ros.core.parameter_kinds import parameters_of
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import NodeSettings, RunSettings
-from fej_slam_ros.ros.parameters.schema import known_parameters, QOS_OVERRIDES, QOS_POLICIES
-
-#: Names of topics and reports besides those of robots.
-RESERVED_NAMES = ('estimator', 'filter', 'ground_truth', 'landmarks', 'qos', 'smoother')
-
-#: Old names of parameters that are still accepted, with a warning.
-RENAMED_PARAMETERS = {'second_look': 'inflate_rejected_scans'}
-
-#: Name of the parameter that makes an unknown name an error.
-STRICT_PARAMETERS = 'strict_parameters'
-
-#: Maximum number of robots. Each has some 20 topics, and 20 robots fill one processor core.
-MAX_ROBOTS = 100
-#: Maximum number of warnings about unknown names in one file.
-MAX_WARNINGS = 20
-#: Maximum length of a name or value in a message.
-MAX_SHOWN = 500
-
-#: Parameters that ROS adds to every node, besides those of the quality of service.
-PARAMETERS_OF_ROS = frozenset({'use_sim_time', 'start_type_description_service'})
-OF_EVERY_NODE = re.compile('|'.join([*PARAMETERS_OF_ROS, f'{re.escape(QOS_OVERRIDES)}.*']))
+from fej_slam_ros.ros.parameters.schema import known_parameters
+from fej_slam_ros.ros.parameters.values import (
+    given_values, robot_names, Warn, warn_once, with_current_names)
 
 #: Values by name of the team, whose owner is '', and of each robot.
 GivenValues = Mapping[str, Mapping[str, Any]]
-Warn = Callable[[str], object]
-#: Writes each warning once per process to stderr.
-warn_once: Warn = cache(logging.getLogger(__name__).warning)
 
 
 def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     """Return the settings that flat ROS parameters give."""
     values = with_current_names(values, warn)
-    robots = _team(values)
+    robots = team_names(values)
     known = known_parameters(robots)
     given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
     for name, value in given_values(values, known, warn, robots).items():
@@ -68,7 +37,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     return settings
 
 
-def _team(values: Mapping[str, object]) -> tuple[str, ...]:
+def team_names(values: Mapping[str, object]) -> tuple[str, ...]:
     """Return the names of all robots, the own ones first."""
     robots, peers = robot_names(values.get('robots', [])), values.get('peers', [])
     if not peers:
@@ -81,199 +50,6 @@ def _team(values: Mapping[str, object]) -> tuple[str, ...]:
     if not others:
         raise UsageError("parameter 'peers' has only this robot: list the others")
     return robots + others
-
-
-def with_current_names(values: Mapping[str, object], warn: Warn) -> dict[str, object]:
-    """Return parameters with old names replaced by the present ones."""
-    current = dict(values)
-    for old, new in RENAMED_PARAMETERS.items():
-        if old in values:
-            if new in values:
-                raise UsageError(
-                    f'parameter {old!r} is the old name of {new!r}: give only {new!r}')
-            warn(f'parameter {old!r} is deprecated: rename it to {new!r}')
-            current[new] = current.pop(old)
-    return current
-
-
-def given_values(
-    values: Mapping[str, object], known: Mapping[str, Parameter], warn: Warn,
-    robots: Sequence[str] = (),
-) -> dict[str, Any]:
-    """
-    Return flat ROS parameters of known names as settings store them.
-
-    Unknown names are those of `known_values`; angles that exceed a turn are warnings.
-
-    """
-    checked = checked_values(known_values(values, known, warn, robots), known)
-    _warn_of_degrees(checked, known, warn)
-    return checked
-
-
-def known_values(
-    values: Mapping[str, object], known: Mapping[str, Parameter], warn: Warn,
-    robots: Sequence[str] = (),
-) -> dict[str, object]:
-    """
-    Return flat ROS parameters without those of unknown names.
-
-    Each of these is a warning, since files are shared with other nodes, or a UsageError if the
-    parameter ``strict_parameters`` is true.
-
-    """
-    strict = _checked_value(STRICT_PARAMETERS, FLAG, values.get(STRICT_PARAMETERS, False))
-    unknown = [name for name in values if name not in known and not OF_EVERY_NODE.fullmatch(name)]
-    for name in unknown[:MAX_WARNINGS]:
-        if strict:
-            raise UsageError(unknown_parameter(name, known, robots))
-        warn(unknown_parameter(name, known, robots, ' is ignored'))
-    if len(unknown) > MAX_WARNINGS:
-        warn(f'{len(unknown) - MAX_WARNINGS} more unknown parameters are ignored')
-    ignored = {*unknown}
-    return {name: value for name, value in values.items() if name not in ignored}
-
-
-def checked_values(
-    values: Mapping[str, object], known: Mapping[str, Parameter]
-) -> dict[str, Any]:
-    """Return flat ROS parameters as settings store them, without those of every node."""
-    for name, value in values.items():
-        policy = name.rpartition('.')[2]
-        if name.startswith(QOS_OVERRIDES) and policy in QOS_POLICIES:
-            _checked_value(name, QOS_POLICIES[policy], value)
-    return {
-        name: _checked_value(name, known[name].kind, value)
-        for name, value in values.items() if name in known}
-
-
-def _warn_of_degrees(
-    values: Mapping[str, Any], known: Mapping[str, Parameter], warn: Warn
-) -> None:
-    """Warn of angles in checked values that exceed a turn: they are probably in degrees."""
-    for name, value in values.items():
-        count = known[name].kind.angles
-        for angle in value[-count:] if count else ():
-            if abs(angle) > math.tau:
-                warn(
-                    f'parameter {name!r} has an angle of {angle:g} rad, more than a turn: if it is'
-                    f' in degrees, write {math.radians(angle):.4f}')
-
-
-def unknown_parameter(
-    name: str, known: Mapping[str, Parameter], robots: Sequence[str] = (), effect: str = ''
-) -> str:
-    """Return the sentence about a parameter of an unknown name, with the nearest known one."""
-    name = shortened(name)
-    nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
-    owner, dot, _ = name.partition('.')
-    reason = f'{owner!r} is not in robots, ' if dot and robots and owner not in robots else ''
-    return f'unknown parameter {name!r}{effect}: {reason}did you mean {nearest!r}?'
-
-
-def robot_names(value: object, parameter: str = 'robots') -> tuple[str, ...]:
-    """Return the checked names of the robots, which determine the names of other parameters."""
-    robots: tuple[str, ...] = _checked_value(parameter, ROBOT_NAMES, value)
-    if not robots:
-        raise UsageError(
-            f'parameter {parameter!r} is missing or empty: list the robots, for example [r1, r2]')
-    if len(robots) > MAX_ROBOTS:
-        raise UsageError(
-            f'parameter {parameter!r} lists {len(robots)} robots: list at most {MAX_ROBOTS}')
-    for robot in robots:
-        if robots.count(robot) > 1:
-            raise UsageError(
-                f'parameter {parameter!r} contains {robot!r} twice: give each robot its own name')
-        if robot in RESERVED_NAMES:
-            raise UsageError(
-                f'parameter {parameter!r} contains the reserved name {robot!r}: choose another')
-    return robots
-
-
-def changed_team(
-    settings: Settings, robots: Mapping[str, RobotSettings], value: object
-) -> list[RobotSettings]:
-    """
-    Return the robots for a new value of the parameter ``robots`` during a run.
-
-    The present robots keep their settings; one that was not in the team at the start has the noise
-    of the team in the settings at present.
-
-    """
-    known = {robot.name: robot for robot in settings.robots} | dict(robots)
-    for name in robot_names(value):
-        if name not in known:
-            known[name] = RobotSettings(
-                name, 1 + max(robot.id for robot in known.values()),
-                **{field: getattr(settings, field) for field in parameters_of(NoiseSettings)})
-    return [known[name] for name in robot_names(value)]
-
-
-def changed_peers(
-    settings: Settings, robots: Mapping[str, RobotSettings], value: object
-) -> list[RobotSettings]:
-    """
-    Return the robots for new names of the own robot and its peers during a run.
-
-    As at the start, the ID of a robot is its position in the sorted names, on which all robots
-    agree; a UsageError says if a robot that comes would change that of another.
-
-    """
-    own, *others = robot_names(value)
-    team = changed_team(settings, robots, _team({'robots': [own], 'peers': others or [own]}))
-    before, after = (
-        {name: k for k, name in enumerate(sorted(names), start=1)}
-        for names in (robots, [robot.name for robot in team]))
-    new, present = after.keys() - before, [robot for robot in team if robot.name in before]
-    for robot in present if new else ():
-        if robot.id == before[robot.name] != after[robot.name]:
-            raise UsageError(
-                f"parameter 'peers' would change the ID of {robot.name!r} from {robot.id} to"
-                f' {after[robot.name]}, its position in the sorted names: start again with'
-                " '<robot>.id' of each robot, or give the new robots names that come last")
-    used = {robot.id for robot in present}
-    return [
-        replace(robot, id=after[robot.name])
-        if robot.name in new and after[robot.name] not in used else robot for robot in team]
-
-
-def shortened(text: str) -> str:
-    """Return a text for a message, of which a long one keeps its beginning."""
-    return text if len(text) <= MAX_SHOWN else f'{text[:MAX_SHOWN]}...'
-
-
-def _shown(value: object) -> str:
-    try:
-        return shortened(repr(value))
-    except ValueError:  # Python writes no integers of thousands of digits.
-        return 'an integer of thousands of digits'
-
-
-def _checked_value(name: str, kind: Kind, value: object) -> Any:
-    if isinstance(value, (array, np.ndarray)):
-        value = value.tolist()
-    read = kind.read(value)
-    if read is None:
-        if kind is ROBOT_NAMES:
-            _refuse_names(name, value)
-        raise UsageError(f'parameter {name!r} must be {kind.expected}, not {_shown(value)}')
-    return read
-
-
-def _refuse_names(parameter: str, value: object) -> None:
-    """Raise UsageError if one of the names of robots cannot be the namespace of topics."""
-    for name in value if isinstance(value, (list, tuple)) else []:
-        if isinstance(name, str) and not ROBOT_NAMES.allowed(name):
-            if len(name) > MAX_NAME:
-                raise UsageError(
-                    f'parameter {parameter!r} contains {_shown(name)}, a name of {len(name):,}'
-                    f' characters: give each robot a name of at most {MAX_NAME}')
-            valid = re.sub(r'\W', '_', name, flags=re.ASCII)
-            valid = valid if valid[:1].isalpha() else f'robot_{valid}'.rstrip('_')
-            raise UsageError(
-                f'parameter {parameter!r} contains {name!r}: a robot is a namespace of topics, and'
-                ' ROS names begin with a letter and go on with letters, digits and _; list'
-                f' {valid!r}, and remap the topics of the robot to it if they differ')
 
 
 def _estimation_settings(

@@ -17,8 +17,9 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import RunSettings
-from fej_slam_ros.ros.parameters.parsing import parse, Warn, warn_once, with_current_names
+from fej_slam_ros.ros.parameters.parsing import parse
 from fej_slam_ros.ros.parameters.schema import as_parameters
+from fej_slam_ros.ros.parameters.values import Warn, warn_once, with_current_names
 from fej_slam_ros.ros.parameters.yaml_bounds import (
     MAX_PARAMETER_FILE, read_bounded, YamlBoundsError)
 

@@ -12,7 +12,7 @@ import pytest
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import known_parameters, parse, RENAMED_PARAMETERS
 from fej_slam_ros.ros.parameters.adapter_settings import parse_adapter
-from fej_slam_ros.ros.parameters.parsing import warn_once
+from fej_slam_ros.ros.parameters.values import warn_once
 
 
 def test_a_robot_without_noise_of_its_own_has_that_of_the_team():
