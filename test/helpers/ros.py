@@ -9,6 +9,7 @@ import re
 from unittest import mock
 
 import numpy as np
+import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
 from rosbags.typesys.stores import ros2_jazzy as ros
@@ -19,7 +20,7 @@ from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags, checksums
-from fej_slam_ros.ros.messages import incoming, outgoing, RawMessage
+from fej_slam_ros.ros.messages import incoming, incoming_clouds, outgoing, RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.log_lines import LogSeverity
@@ -148,9 +149,9 @@ def decoded(arrived):
     robot, _, kind = arrived.topic.partition('/')
     message = TYPES.deserialize_cdr(arrived.raw, arrived.type_name)
     if arrived.topic == 'ground_truth/landmarks':
-        return incoming.true_landmarks(message)
+        return incoming_clouds.true_landmarks(message)
     if kind == 'landmarks':
-        record, rejected = incoming.scan(message, RobotSettings(robot, 1))
+        record, rejected = incoming_clouds.scan(message, RobotSettings(robot, 1))
         assert not rejected
         return record
     return {'odom': incoming.odometry, 'ground_truth': incoming.true_pose}[kind](message, robot)
@@ -208,6 +209,13 @@ def log_texts(run):
     return [
         text for severity, text in run.log.take()
         if severity is not LogSeverity.DEBUG and not text.startswith('first data')]
+
+
+def refusal_of(convert, *arguments):
+    """Return the reason for which a conversion rejects a message as a whole."""
+    with pytest.raises(incoming.RejectedError) as rejected:
+        convert(*arguments)
+    return rejected.value.reason
 
 
 def write_bag(path, messages, storage='mcap'):

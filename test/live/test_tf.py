@@ -13,7 +13,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
 from scipy.spatial.transform import Rotation
 
 from fej_slam_ros.core.records import NS, Odometry, Scan
-from fej_slam_ros.ros.messages.incoming import map_landmarks
+from fej_slam_ros.ros.messages.own_results import map_landmarks
 from fej_slam_ros.ros.session import simulation
 from helpers.message_packages import provided
 from helpers.optional import optional

@@ -8,7 +8,7 @@ import pytest
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.messages import deserialize, incoming
+from fej_slam_ros.ros.messages import deserialize, incoming, incoming_clouds
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.paths import BAGS
@@ -24,11 +24,11 @@ def numbers(message):
     if kind == 'odom':
         return incoming.odometry(decoded, robot).pose.tolist()
     if robot == 'ground_truth':
-        positions = incoming.true_landmarks(decoded).positions
+        positions = incoming_clouds.true_landmarks(decoded).positions
         return [value for number in positions for value in (number, *positions[number])]
     if kind == 'ground_truth':
         return incoming.true_pose(decoded, robot).pose.tolist()
-    scan, _ = incoming.scan(decoded, RobotSettings(robot, 1))
+    scan, _ = incoming_clouds.scan(decoded, RobotSettings(robot, 1))
     return [value for s in scan.observations for value in (s.id, *s.z, *s.R.ravel())]
 
 
@@ -78,7 +78,7 @@ def test_robots_of_the_rendezvous_bag_observe_each_other_while_they_pass():
         robot, _, kind = message.topic.partition('/')
         if kind == 'robots':
             cloud = deserialize(message.raw, message.type_name)
-            scan, _ = incoming.robot_scan(
+            scan, _ = incoming_clouds.robot_scan(
                 cloud, RobotSettings(robot, ids[robot]), {n: name for name, n in ids.items()})
             met.append((scan.stamp, robot, [s.observed for s in scan.observations]))
 

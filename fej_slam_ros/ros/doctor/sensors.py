@@ -17,7 +17,7 @@ from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.ros.doctor.findings import error_if, Finding, warning
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.messages import incoming, RawMessage
+from fej_slam_ros.ros.messages import incoming_clouds, RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.detector_session import DetectorSession
@@ -65,7 +65,7 @@ def check(
         for topic, found in lasers.take():
             robot, _, kind = topic.rpartition('/')
             if kind == 'landmarks':
-                posts[robot].append(incoming.scan(found, collector.robots[robot])[0])
+                posts[robot].append(incoming_clouds.scan(found, collector.robots[robot])[0])
     records = [record for record, _ in collector.records]
     for robot in robots:
         odometry = [r for r in records if isinstance(r, Odometry) and r.robot == robot]

@@ -26,7 +26,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
     LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
 from fej_slam_ros.ros.files.topic_names import topic_names, TopicNames
-from fej_slam_ros.ros.messages import decoded, incoming, Message
+from fej_slam_ros.ros.messages import decoded, incoming, incoming_clouds, Message, own_results
 from fej_slam_ros.ros.messages.common import from_quaternion
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, TYPES
@@ -116,13 +116,13 @@ def read_bag(path: Path, names: TopicNames) -> RunResult:
         nonlocal landmarks
         if topic in maps:
             if message.header.frame_id not in own_frames:
-                landmarks = LandmarkMap(*incoming.map_landmarks(message))
+                landmarks = LandmarkMap(*own_results.map_landmarks(message))
         elif topic in DIAGNOSTICS:
-            for node, robots_of in incoming.nis(message).items():
+            for node, robots_of in own_results.nis(message).items():
                 nis.setdefault(node, {}).update(
                     (name, NisSum(*sums)) for name, sums in robots_of.items())
         else:
-            estimate = incoming.pose_estimate(message, topic.partition('/')[0])
+            estimate = own_results.pose_estimate(message, topic.partition('/')[0])
             # The parameter map_frame gives the frame map another name in messages.
             frame = estimate.frame if estimate.frame in own_frames else MAP
             rows[estimate.robot].append(PoseRow(estimate.stamp, frame, estimate.pose, estimate.P))
@@ -158,7 +158,7 @@ def _true_bag(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
 
     def read(topic: str, message: Message) -> None:
         truth.add(
-            incoming.true_landmarks(message) if topic == TRUE_LANDMARKS
+            incoming_clouds.true_landmarks(message) if topic == TRUE_LANDMARKS
             else incoming.true_pose(message, topic.partition('/')[0]))
 
     # Messages that the estimator rejects are not ground truth of the evaluation either.

@@ -23,8 +23,8 @@ from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.detection.objects import DetectedObject
 from fej_slam_ros.ros.messages import Message
-from fej_slam_ros.ros.messages.incoming import (
-    checked_covariance, MAX_DISTANCE, RejectedError, spatial_pose)
+from fej_slam_ros.ros.messages.incoming import checked_covariance, RejectedError, spatial_pose
+from fej_slam_ros.ros.messages.incoming_clouds import MAX_DISTANCE
 
 #: A pose that has not been set.
 ORIGIN, UPRIGHT = Point(x=0.0, y=0.0, z=0.0), Quaternion(x=0.0, y=0.0, z=0.0, w=1.0)

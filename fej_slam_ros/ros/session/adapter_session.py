@@ -15,7 +15,7 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.detection import objects
 from fej_slam_ros.detection.objects import DetectedObject, PlanarObservation
 from fej_slam_ros.ros.messages import (
-    decoded_as, incoming, markers, object_formats, outgoing, RawMessage)
+    decoded_as, incoming, incoming_clouds, markers, object_formats, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
@@ -268,7 +268,8 @@ class AdapterSession:
         self, robot: str, observations: list[tuple[int, str, PlanarObservation]]
     ) -> list[tuple[int, str, PlanarObservation]]:
         """Return the observations that the estimator accepts, with their IDs and names."""
-        faults = incoming.observation_faults(*_stacked([of_one for _, _, of_one in observations]))
+        faults = incoming_clouds.observation_faults(
+            *_stacked([of_one for _, _, of_one in observations]))
         for reason in faults:
             if reason is not None:
                 self._reject(robot, reason)

@@ -15,7 +15,7 @@ from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import (
-    decoded_as, deserialize, incoming, Message, RawMessage, serialize)
+    decoded_as, deserialize, incoming, incoming_clouds, Message, RawMessage, serialize)
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
@@ -205,7 +205,8 @@ class Inputs:
         """Reject a scan of too many points, by its header; return whether it has."""
         if arrived.type_name != CLOUD or self.robot_topics[kind] != CLOUD:
             return False
-        points = incoming.points_beyond(arrived.raw, self._consumer.settings.max_observations)
+        points = incoming_clouds.points_beyond(
+            arrived.raw, self._consumer.settings.max_observations)
         if points is None:
             return False
         self.health.flow(name, kind).largest = LargeScan(
@@ -284,10 +285,10 @@ class Inputs:
     ) -> None:
         scan: AnyScan
         if kind == 'landmarks':
-            scan, rejected = incoming.scan(cloud, robot, self._consumer.needs_ids)
+            scan, rejected = incoming_clouds.scan(cloud, robot, self._consumer.needs_ids)
         else:
             names = {other.id: name for name, other in self._consumer.robots.items()}
-            scan, rejected = incoming.robot_scan(cloud, robot, names)
+            scan, rejected = incoming_clouds.robot_scan(cloud, robot, names)
         for rejection in rejected:
             self._consumer.statistics.reject(rejection)
         if rejected and not scan.observations:
@@ -302,7 +303,7 @@ class Inputs:
         if cloud is None:
             return
         try:
-            self._consumer.add(incoming.true_landmarks(cloud))
+            self._consumer.add(incoming_clouds.true_landmarks(cloud))
         except incoming.RejectedError as rejected:
             self._reject('', from_time(cloud.header.stamp), rejected.reason)
 

@@ -11,7 +11,7 @@ import pytest
 from fej_slam_ros.core.geometry import rotation
 from fej_slam_ros.core.peers.blocks import BadBlockError, decoded, encoded, MAX_CONTENT
 from fej_slam_ros.core.records import Observation, Odometry, RobotObservation, RobotScan, Scan
-from fej_slam_ros.ros.messages.incoming import observation_faults
+from fej_slam_ros.ros.messages.incoming_clouds import observation_faults
 
 R = np.array([[0.04, 0.01], [0.01, 0.02]])
 

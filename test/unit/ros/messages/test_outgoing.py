@@ -11,7 +11,7 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.records import (
     GpsFix, Observation, Odometry, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.ros.messages import incoming, outgoing
+from fej_slam_ros.ros.messages import incoming, incoming_clouds, outgoing
 from helpers.optional import given, settings, strategies as st
 from helpers.ros import R1, through_cdr
 
@@ -60,7 +60,7 @@ def test_odometry_survives_the_round_trip_through_a_message(stamp, pose, covaria
 def test_a_scan_survives_the_round_trip_bit_for_bit(stamp, observations):
     message = through_cdr(outgoing.scan(Scan('r1', stamp, tuple(observations))))
 
-    scan, rejected = incoming.scan(message, R1)
+    scan, rejected = incoming_clouds.scan(message, R1)
 
     assert (scan.robot, scan.stamp, rejected) == ('r1', stamp, [])
     assert [s.id for s in scan.observations] == [s.id for s in observations]
@@ -80,7 +80,7 @@ def test_a_robot_scan_survives_the_round_trip_bit_for_bit(stamp, observations):
     ids = {'r2': 7, 'r3': 0, 'r4': 2**31 - 1}
     message = through_cdr(outgoing.robot_scan(RobotScan('r1', stamp, tuple(observations)), ids))
 
-    scan, rejected = incoming.robot_scan(message, R1, {n: name for name, n in ids.items()})
+    scan, rejected = incoming_clouds.robot_scan(message, R1, {n: name for name, n in ids.items()})
 
     assert (scan.robot, scan.stamp, rejected) == ('r1', stamp, [])
     assert [s.observed for s in scan.observations] == [s.observed for s in observations]
@@ -103,7 +103,7 @@ def test_a_true_pose_survives_the_round_trip(stamp, pose):
 def test_the_true_map_survives_the_round_trip_bit_for_bit(positions):
     message = through_cdr(outgoing.true_landmarks(TrueLandmarks(positions, 5)))
 
-    got = incoming.true_landmarks(message).positions
+    got = incoming_clouds.true_landmarks(message).positions
 
     assert {n: xy.tolist() for n, xy in got.items()} == {
         n: xy.tolist() for n, xy in positions.items()}

@@ -10,7 +10,7 @@ from fej_slam_ros.core.csam.team_solution import solve, TeamMap
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.messages import decoded, incoming
+from fej_slam_ros.ros.messages import decoded, incoming, own_results
 from fej_slam_ros.ros.messages.common import from_quaternion, from_time
 from fej_slam_ros.ros.session import smoother_session
 from fej_slam_ros.ros.session.inputs import ODOMETRY
@@ -87,7 +87,7 @@ def test_a_transform_composed_with_the_odometry_is_the_pose_of_the_smoother(is_j
 
     poses = {
         (estimate.robot, estimate.stamp): estimate for estimate in (
-            incoming.pose_estimate(message, topic.partition('/')[0])
+            own_results.pose_estimate(message, topic.partition('/')[0])
             for topic, message in published if topic.endswith('/pose'))}
     found = transforms(published)
     assert len(found) == len(poses) > 0
