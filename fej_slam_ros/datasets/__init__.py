@@ -14,7 +14,8 @@ data set                    reader                            converter
 ==========================  ================================  =================================
 Victoria Park, associated   ``victoria_park/associated_log``  ``victoria_park/associated_log``
 Victoria Park, raw          ``victoria_park/raw_log``         ``victoria_park/raw_conversion``
-MRCLAM                      ``mrclam/files``                  ``mrclam/conversion``
+MRCLAM                      ``mrclam/files``                  ``mrclam/conversion``, settings in
+                                                              ``mrclam/run_settings``
 ==========================  ================================  =================================
 
 `liu` reads the files of the authors of [Liu] for the experiments; it has no records.

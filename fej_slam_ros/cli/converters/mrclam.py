@@ -21,7 +21,7 @@ from fej_slam_ros.cli.converters import mrclam_tables
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.datasets.mrclam import conversion, files, noise
+from fej_slam_ros.datasets.mrclam import conversion, files, noise, run_settings
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS
 from fej_slam_ros.errors import UsageError, UserError
@@ -84,9 +84,9 @@ def convert(arguments: Namespace) -> None:
     if arguments.measure:
         print(mrclam_tables.noise_tables(data, options))
         return
-    data = conversion.with_known_anchor(data, options)
+    data = run_settings.with_known_anchor(data, options)
     rejected = {robot: Counter[str]() for robot in data.logs}
-    settings = conversion.settings(data, options, arguments.known_starts)
+    settings = run_settings.settings(data, options, arguments.known_starts)
     write(
         conversion.records(data, options, rejected), settings, arguments,
         _report(data, options, settings, rejected))

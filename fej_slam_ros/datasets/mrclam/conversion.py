@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Measurements of an MRCLAM set as records, and the settings of a run on them.
+Measurements of an MRCLAM set as records.
 
 Commands become odometry by exact arcs, each in force until the next. A range and a bearing become
 a Cartesian observation; the rows of one stamp are one scan.
@@ -12,16 +12,14 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 import heapq
 from itertools import groupby, repeat
-import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at, wrap
+from fej_slam_ros.core.geometry import Array, between, compose, Flags
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
-from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.file_checks import LAST_SECOND
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.mrclam.series import Series, Stamps
@@ -33,31 +31,8 @@ STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
 MAX_COMMAND_HOLD = 2 * NS
 #: Time [ns] without commands that may be missing where a clock was set.
 JOINT_TIME = NS // 2
-#: The estimator waits for robots over gaps in which commands are trusted [s].
-STALE_AFTER = 2.5
-#: Probability of gates and joining: errors that persist make these tests fail more often than
-#: chi-square predicts, and wrong data are far beyond either threshold.
-GATE_PROBABILITY = 0.99999
-#: Standard deviation of the heading at which a robot joins [rad]: for the same reason a few
-#: observations carry less information than their covariances state.
-JOIN_HEADING_SIGMA = 0.05
-#: Standard deviations of motion capture [m, m, rad], and the maximum time [ns] from a robot's
-#: first odometry to the true pose from which its start is computed.
-TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
-MAX_START_DELAY = 300 * NS
-#: Standard deviation of the heading at its start [rad] above which the anchor begins at its first
-#: true pose instead.
-GOOD_HEADING_SIGMA = 0.05
-#: Time [ns] from the first observation of a landmark in which bearings determine the frame.
-FRAME_TIME = 10 * NS
-#: Angle [rad], and standard deviations, by which odometry of an anchor may turn away from its true
-#: heading by then.
-MAX_FRAME_TURN, MAX_FRAME_SIGMAS = 0.1, 2.0
-ORIGIN: Triple = (0.0, 0.0, 0.0)
 #: Standard deviation of the angles [rad] at which cameras are mounted.
 OFFSET_SIGMA = 0.02
-#: Range [m] at which the noise of a robot without observations is stated.
-TYPICAL_RANGE = 3.5
 
 
 @dataclass(frozen=True)
@@ -219,145 +194,6 @@ def records(
     yield from heapq.merge(*streams, key=lambda record: record.stamp)
 
 
-def settings(
-    data: MrclamSet, options: ConversionOptions, known_starts: bool = False
-) -> Settings:
-    """
-    Return the settings of a run in the frame of the ground truth.
-
-    The anchor starts at the origin if there is no ground truth in its first five minutes. The
-    starts of the other robots are unknown, or taken from the ground truth as well.
-    """
-    starts = {robot: start(log, options) for robot, log in data.logs.items()}
-    anchor = _anchor(data, starts, options)
-    pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
-    if starts[anchor]:
-        # The frame turns with what the camera of the anchor observes.
-        sigma = (*sigma[:2], round(math.hypot(sigma[2], bearing_offset(anchor, options)[1]), 6))
-    robots = {robot: _robot(robot, log, options) for robot, log in data.logs.items()}
-    for robot, known in starts.items():
-        if known_starts and known and robot != anchor:
-            robots[robot] = replace(robots[robot], start_pose=known[0], start_sigma=known[1])
-    return Settings(
-        tuple(robots.values()),
-        anchor=robot_name(anchor), anchor_pose=pose, anchor_sigma=sigma, filter='fej',
-        gate_probability=GATE_PROBABILITY, join_probability=GATE_PROBABILITY,
-        join_heading_sigma=JOIN_HEADING_SIGMA, stale_after=STALE_AFTER)
-
-
-def start(log: RobotLog, options: ConversionOptions) -> tuple[Triple, Triple] | None:
-    """Return a robot's true pose at its first odometry and its sigmas, None if not known."""
-    stamps, poses = odometry(log, options)
-    first = np.searchsorted(log.truth.stamps, stamps[0])
-    if first == len(log.truth) or log.truth.stamps[first] > stamps[0] + MAX_START_DELAY:
-        return None
-    # Odometry leads back from the first true pose since then.
-    k = min(int(np.searchsorted(stamps, log.truth.stamps[first])), len(stamps) - 1)
-    (reached,) = poses_at(log.truth.stamps[first:first + 1], stamps, poses)
-    back = between(reached, poses[0])
-    pose = compose(log.truth.rows[first], back)
-    variances = increment_variances(log, options)[:k].sum(axis=0) + np.square(TRUTH_SIGMA)
-    # The robot has turned meanwhile, which mixes errors ahead and to the left.
-    variances[:2] = variances[:2].max() + variances[2] * (back[:2] @ back[:2])
-    return _triple(pose), _triple(np.sqrt(variances))
-
-
-def with_known_anchor(data: MrclamSet, options: ConversionOptions) -> MrclamSet:
-    """
-    Return a set in which the frame of the ground truth is known.
-
-    Where odometry between the anchor's start and its first true pose has lost its heading, the
-    anchor begins at that true pose; its earlier commands are counted.
-    """
-    starts = {robot: start(log, options) for robot, log in data.logs.items()}
-    anchor = _anchor(data, starts, options)
-    log, known = data.logs[anchor], starts[anchor]
-    if known is None or known[1][2] <= GOOD_HEADING_SIGMA:
-        return data
-    stamps = odometry_stamps(log, options)
-    first = np.searchsorted(log.truth.stamps, stamps[0])
-    # The last command before it: its motion leads to the true pose.
-    begin = np.searchsorted(stamps, log.truth.stamps[first], 'right') - 1
-    counts = log.counts + Counter({'command before the first true pose': int(begin)})
-    kept = replace(
-        log, commands=log.commands.where(np.arange(len(log.commands)) >= begin), counts=counts)
-    return replace(data, logs={**data.logs, anchor: kept})
-
-
-def _anchor(
-    data: MrclamSet, starts: Mapping[int, tuple[Triple, Triple] | None],
-    options: ConversionOptions,
-) -> int:
-    """
-    Return the robot that determines the heading of the frame best.
-
-    It observes landmarks, without which the others cannot join. If possible, its start is known
-    well enough to keep all of its log, and its odometry agrees with its true heading by then.
-    """
-    def rank(robot: int) -> tuple[bool, bool, bool, float]:
-        rows = observations(data, robot, options, Counter())
-        of_landmarks = rows.where(~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS))
-        known = starts[robot]
-        sigma = known[1][2] if known else math.inf
-        has_turned, variance = False, math.inf
-        if known and len(of_landmarks):
-            log = data.logs[robot]
-            has_turned = _has_turned(log, of_landmarks.stamps[0] + FRAME_TIME, options)
-            variance = _frame_variance(log, sigma, of_landmarks, options)
-        return len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, has_turned, variance
-
-    return min(starts, key=rank)
-
-
-def _frame_variance(
-    log: RobotLog, start_sigma: float, of_landmarks: Series, options: ConversionOptions
-) -> float:
-    """
-    Return the variance [rad^2] of the heading of a frame that a robot's start defines.
-
-    It is that of the start, of odometry until landmarks are observed, of their bearings and of
-    the camera's angle.
-    """
-    stamps = odometry_stamps(log, options)
-    begin = stamps[0]
-    if start_sigma > GOOD_HEADING_SIGMA:
-        begin = log.truth.stamps[np.searchsorted(log.truth.stamps, begin)]
-        start_sigma = TRUTH_SIGMA[2]
-    seen = of_landmarks.stamps[of_landmarks.stamps >= begin]
-    if not len(seen):
-        return math.inf
-    count = np.searchsorted(seen, seen[0] + FRAME_TIME, 'right')
-    first, after = np.searchsorted(stamps, (begin, seen[0]))
-    driven = float(increment_variances(log, options)[first:after, 2].sum())
-    bearing = options.observation_noise().bearing
-    of_camera = bearing ** 2 / count + bearing_offset(log.robot, options)[1] ** 2
-    return float(start_sigma ** 2 + driven + of_camera)
-
-
-def _has_turned(log: RobotLog, end: int, options: ConversionOptions) -> bool:
-    """Return whether odometry turns away from the true headings up to a stamp [ns]."""
-    stamps, poses = odometry(log, options)
-    true = log.truth.between(int(stamps[0]), min(end, int(stamps[-1])))
-    if not len(true):
-        return False
-    ends = true.stamps[[0, -1]]
-    (turned,) = np.diff(true.rows[[0, -1], 2] - poses_at(ends, stamps, poses)[:, 2])
-    ((variance,),) = sums_between(ends, stamps, increment_variances(log, options)[:, 2:])
-    sigma = math.sqrt(variance + 2.0 * TRUTH_SIGMA[2] ** 2)
-    return abs(wrap(turned)) > min(MAX_FRAME_TURN, MAX_FRAME_SIGMAS * sigma)
-
-
-def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettings:
-    """Return a robot with its mean noise; each record carries its own."""
-    noise, ranges = options.observation_noise(), log.observations.rows[:, 1]
-    r = float(ranges.mean()) if len(ranges) else TYPICAL_RANGE
-    duration = (log.commands.stamps[-1] - log.commands.stamps[0]) / NS
-    variances = increment_variances(log, options).sum(axis=0) / duration
-    return RobotSettings(
-        robot_name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
-        landmark_sigma=(round(noise.range * r, 6), round(noise.bearing * r, 6)))
-
-
 def _odometry(robot: int, log: RobotLog, options: ConversionOptions) -> Iterator[Odometry]:
     stamps, poses = odometry(log, options)
     rates = increment_variances(log, options) / np.square(np.diff(stamps) / NS)[:, None]
@@ -392,9 +228,3 @@ def _thinned(observed: Series, period: int) -> Flags:
         if subject not in latest or stamp - latest[subject] >= period:
             kept[k], latest[subject] = True, stamp
     return kept
-
-
-def _triple(values: Array) -> Triple:
-    """Return three numbers, rounded for a parameter file."""
-    x, y, phi = values.round(6).tolist()
-    return x, y, phi

@@ -13,12 +13,13 @@ from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
 from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.core.records import NS, Odometry, TruePose
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, records, settings,
-    STANDSTILL_VARIANCE, sums_between, TRUTH_SIGMA)
+    ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, records,
+    STANDSTILL_VARIANCE, sums_between)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
 from fej_slam_ros.datasets.mrclam.observation_errors import (
     bearing_offsets, observation_errors, ObservationErrors, rms, sigmas, true_poses,
     without_offsets)
+from fej_slam_ros.datasets.mrclam.run_settings import settings, TRUTH_SIGMA
 
 #: Minimum number of windows for the growth of errors, and of observations of a kind, for an
 #: estimate; with fewer windows of `HEADING_WINDOW` those of `GROWTH_WINDOW` are used.

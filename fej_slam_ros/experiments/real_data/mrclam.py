@@ -25,7 +25,7 @@ from fej_slam_ros.core.geometry import (
     transform_poses, wrap_all)
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.datasets.mrclam import conversion, files
+from fej_slam_ros.datasets.mrclam import conversion, files, run_settings
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.noise import best_options
@@ -163,8 +163,8 @@ def run(task: MrclamTask) -> MrclamRun:
     """Run a filter on a set, which must have ground truth and observations, and evaluate it."""
     data, options = _evaluable(task.folder)
     options = replace(options, robot_observations=task.robots_seen)
-    data = conversion.with_known_anchor(data, options)
-    settings = conversion.settings(data, options)
+    data = run_settings.with_known_anchor(data, options)
+    settings = run_settings.settings(data, options)
     counts: dict[int, Counter[str]] = {robot: Counter() for robot in data.logs}
     records = conversion.records(data, options, counts)
     if task.filter == LEAST_SQUARES:
