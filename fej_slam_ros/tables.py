@@ -31,10 +31,10 @@ def number(value: float | None, form: str) -> str:
     return '-' if value is None else format(value, form)
 
 
-def interval(bounds: Sequence[float], form: str = '.2f') -> str:
+def interval(bounds: Sequence[float]) -> str:
     """Return the lower and upper bound of an interval."""
     low, high = bounds
-    return f'{low:{form}} to {high:{form}}'
+    return f'{low:.2f} to {high:.2f}'
 
 
 def finite_numbers(cells: Cells, names: Sequence[str]) -> list[float]:

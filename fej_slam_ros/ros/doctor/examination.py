@@ -17,8 +17,7 @@ from tqdm import tqdm
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
-    clocks, frames, observations, odometry, rejections, sensors, storage, team, timing,
-    topics)
+    clocks, frames, observations, odometry, rejections, sensors, storage, team, timing, topics)
 from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
@@ -28,7 +27,7 @@ from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.parameters.detector_settings import detector_in
-from fej_slam_ros.ros.session.inputs import expected_topics
+from fej_slam_ros.ros.session.inputs import expected_topics, OBSERVATION_TOPICS
 
 #: Findings that a time jump explains; they are left out beside it.
 EFFECTS_OF_TIME_JUMPS = {
@@ -105,7 +104,7 @@ def _check_messages(
     yield from frames.check(survey, recorded_names, settings.node.shares_tf())
     for robot in robots:
         yield from odometry.check(f'{robot}/odom', survey.odometry(robot))
-        for kind in topics.OBSERVATION_TOPICS:
+        for kind in OBSERVATION_TOPICS:
             topic = f'{robot}/{kind}'
             yield from observations.check(
                 topic, survey.observations(topic), not trial.estimator.groups.not_in_map)

@@ -10,8 +10,6 @@ from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.session.inputs import SENT_TOPICS
 
-OBSERVATION_TOPICS = ('landmarks', 'robots')
-
 
 def check(
     topics: Mapping[str, BagTopic], robots: Sequence[str], recorded: RecordedRobots

@@ -13,9 +13,8 @@ import numpy as np
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, QOS_OVERRIDES
-from fej_slam_ros.ros.session.input_faults import (
-    Fault, faults, Level, OBSERVATION_TOPICS, RobotInput, TopicPublishers)
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.input_faults import Fault, faults, Level, RobotInput, TopicPublishers
+from fej_slam_ros.ros.session.inputs import Inputs, MEASUREMENT_TOPICS
 from fej_slam_ros.ros.session.outputs import ConsumerT, DIAGNOSTICS_TOPIC, Publication
 from fej_slam_ros.ros.session.percentiles import percentiles
 
@@ -172,7 +171,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         health = self._inputs.health
         return {
             f'{kind}_rate_hz': round(health.rate(robot, kind), 2)
-            for kind in ('odom', *OBSERVATION_TOPICS)
+            for kind in MEASUREMENT_TOPICS
         } | {'delays_others_s': round(health.lag(robot) / NS, 3)}
 
     def _with_faults(

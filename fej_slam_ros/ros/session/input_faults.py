@@ -18,10 +18,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_health import (
     InputHealth, MIN_GATE_SAMPLE, RATE_WINDOW, TopicFlow)
-from fej_slam_ros.ros.session.inputs import SENT_TOPICS
-
-#: Topics of observations of a robot, by the last part of their names.
-OBSERVATION_TOPICS = ('landmarks', 'robots')
+from fej_slam_ros.ros.session.inputs import MEASUREMENT_TOPICS, OBSERVATION_TOPICS, SENT_TOPICS
 
 #: Fraction of gated observations above which to warn, and above which it is an error; a correct
 #: one is gated with probability 0.001.
@@ -128,7 +125,7 @@ def faults(given: RobotInput) -> list[Fault]:
 
 
 def _other_type(given: RobotInput) -> Iterator[Fault]:
-    for kind in ('odom', *OBSERVATION_TOPICS):
+    for kind in MEASUREMENT_TOPICS:
         others = {*(given.types(kind) or ())} - {SENT_TOPICS[kind]}
         if others:
             yield Fault(Level.ERROR, (
@@ -137,7 +134,7 @@ def _other_type(given: RobotInput) -> Iterator[Fault]:
 
 
 def _incompatible_qos(given: RobotInput) -> Iterator[Fault]:
-    for kind in ('odom', *OBSERVATION_TOPICS):
+    for kind in MEASUREMENT_TOPICS:
         found = given.publishers.get(f'{given.robot}/{kind}')
         if found is not None and found.incompatible:
             yield Fault(Level.ERROR, found.incompatible)
@@ -178,7 +175,7 @@ def _observations_stopped(given: RobotInput) -> Iterator[Fault]:
 
 
 def _all_rejected(given: RobotInput) -> Iterator[Fault]:
-    for kind in ('odom', *OBSERVATION_TOPICS):
+    for kind in MEASUREMENT_TOPICS:
         flow = given.flow(kind)
         if flow.are_all_rejected(given.now):
             yield Fault(
@@ -199,7 +196,7 @@ def _too_large(given: RobotInput) -> Iterator[Fault]:
 
 
 def _too_frequent(given: RobotInput) -> Iterator[Fault]:
-    for kind in ('odom', *OBSERVATION_TOPICS):
+    for kind in MEASUREMENT_TOPICS:
         rate = given.health.rate(given.robot, kind)
         if rate > MAX_RATE:
             yield Fault(Level.ERROR, (

@@ -29,9 +29,12 @@ CLOUD = 'sensor_msgs/msg/PointCloud2'
 TF_TYPE = 'tf2_msgs/msg/TFMessage'
 POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
-#: Types of the topics that a robot publishes, by the last part of their names; users also publish
-#: ``set_pose``, for all nodes but a smoother with peers.
+#: Types of the topics that a robot publishes, by the last part of their names.
 SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
+#: Those of observations, and of all measurements.
+OBSERVATION_TOPICS = ('landmarks', 'robots')
+MEASUREMENT_TOPICS = ('odom', *OBSERVATION_TOPICS)
+#: Types of all topics of a robot: users publish ``set_pose``, which a smoother with peers ignores.
 ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
 TRUE_LANDMARKS = 'ground_truth/landmarks'
 #: Topic of RViz for the pose of one robot, the parameter `initialpose_robot`.

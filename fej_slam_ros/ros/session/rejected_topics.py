@@ -4,8 +4,9 @@
 
 from collections.abc import Callable, Iterable, Iterator
 
-from fej_slam_ros.ros.session.input_faults import OBSERVATION_TOPICS, reasons_in_words
+from fej_slam_ros.ros.session.input_faults import reasons_in_words
 from fej_slam_ros.ros.session.input_health import InputHealth
+from fej_slam_ros.ros.session.inputs import MEASUREMENT_TOPICS
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 
 
@@ -21,7 +22,7 @@ class RejectedTopics:
     ) -> Iterator[LogLine]:
         """Yield a line for each topic that has become one of them, or is one no longer."""
         for robot in robots:
-            for kind in ('odom', *OBSERVATION_TOPICS):
+            for kind in MEASUREMENT_TOPICS:
                 flow, topic = health.flow(robot, kind), f'{robot}/{kind}'
                 is_rejected = flow.are_all_rejected(now) and not flow.is_sent_again()
                 if is_rejected and topic not in self._topics:
