@@ -7,13 +7,14 @@ Without parameters, the robots are those of the topics. A team that does not joi
 estimated again with the other kind of landmark IDs, shared by all robots or each robot's own.
 """
 
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from tqdm import tqdm
 
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
@@ -25,6 +26,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
+from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.parameters.detector_settings import detector_in
 from fej_slam_ros.ros.session.inputs import expected_topics, OBSERVATION_TOPICS
@@ -56,42 +58,69 @@ def examine(
     team_names = [robot.name for robot in settings.estimation.robots]
     names.check_new(expected_topics(team_names))
     recorded = RecordedRobots(path, names, team_names)
-    estimation, prior = settings.estimation, prior_map(settings)
-    survey, trial = Survey(), Trial(estimation, settings.node, prior)
-    progress = partial(
-        tqdm, total=sum(topic.messages for topic in bag_topics.values()), unit='msg', disable=None)
-    for message in progress(bags.read(path, names)):
+    size = sum(topic.messages for topic in bag_topics.values())
+
+    def messages() -> Iterable[RawMessage]:
+        bar: Iterable[RawMessage] = tqdm(
+            bags.read(path, names), total=size, unit='msg', disable=None)
+        return bar
+
+    survey, trial = Survey(), Trial(settings.estimation, settings.node, prior_map(settings))
+    for message in messages():
         if message.topic in trial.topics:
             survey.add(message)
         trial.receive(message)
     trial.close()
-    findings: list[Finding] = []
-    if len(estimation.robots) > 1 and prior is None and not team.is_consistent(trial):
-        shared = not estimation.shared_landmark_ids
-        other = Trial(replace(estimation, shared_landmark_ids=shared), settings.node)
-        for message in progress(bags.read(path, names)):
-            other.receive(message)
-        other.close()
-        if team.is_consistent(other):
-            trial, estimation = other, other.estimator.settings
-            if given is not None:
-                findings.append(error(
-                    'wrong_ids', 'all robots', 'landmark IDs seem to be '
-                    + ('shared by all robots' if shared else "each robot's own")
-                    + ': only then do the observations fit',
-                    f'set the parameter shared_landmark_ids to {str(shared).lower()}'))
-    findings += storage.check(path, names)
-    findings += topics.check(bag_topics, team_names, recorded)
-    findings += _check_messages(
-        survey, trial, replace(settings, estimation=estimation), recorded.recorded_names())
-    findings += sensors.check(path, names, settings, detector_in(parameter_file, team_names))
-    found = {finding.name for finding in findings}
-    explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in found else set()
-    if [finding.name for finding in findings].count('no_landmarks') == len(team_names):
-        explained |= EFFECTS_OF_NO_LANDMARKS
+    other = _with_other_ids(settings, trial, messages)
+    used = trial if other is None else other
+    findings = [
+        *([] if other is None or given is None else [_wrong_ids(settings.estimation)]),
+        *storage.check(path, names),
+        *topics.check(bag_topics, team_names, recorded),
+        *_check_messages(
+            survey, used, replace(settings, estimation=used.estimator.settings),
+            recorded.recorded_names()),
+        *sensors.check(path, names, settings, detector_in(parameter_file, team_names))]
     return sorted(
-        (finding for finding in findings if finding.name not in explained),
+        _unexplained(findings, len(team_names)),
         key=lambda finding: finding.severity is not Severity.ERROR)
+
+
+def _with_other_ids(
+    settings: RunSettings, trial: Trial, messages: Callable[[], Iterable[RawMessage]]
+) -> Trial | None:
+    """Return a trial with the other kind of landmark IDs if only that is consistent."""
+    estimation = settings.estimation
+    is_alone = len(estimation.robots) == 1
+    if is_alone or settings.node.prior_landmarks or team.is_consistent(trial):
+        return None
+    other = Trial(
+        replace(estimation, shared_landmark_ids=not estimation.shared_landmark_ids),
+        settings.node)
+    for message in messages():
+        other.receive(message)
+    other.close()
+    return other if team.is_consistent(other) else None
+
+
+def _wrong_ids(given: Settings) -> Finding:
+    """Return the finding that landmark IDs are of the other kind than the settings say."""
+    kind, value = (
+        ("each robot's own", 'false') if given.shared_landmark_ids else
+        ('shared by all robots', 'true'))
+    return error(
+        'wrong_ids', 'all robots',
+        f'landmark IDs seem to be {kind}: only then do the observations fit',
+        f'set the parameter shared_landmark_ids to {value}')
+
+
+def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
+    """Yield the findings on a number of robots that no other one explains."""
+    names = Counter(finding.name for finding in findings)
+    explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in names else set()
+    if names['no_landmarks'] == robots:
+        explained |= EFFECTS_OF_NO_LANDMARKS
+    return (finding for finding in findings if finding.name not in explained)
 
 
 def _check_messages(
