@@ -108,32 +108,58 @@ def read_bag(path: Path, names: TopicNames) -> RunResult:
         if topic.endswith('/landmarks') and bag_topic.type_name == CLOUD
         and topic != TRUE_LANDMARKS and f'{topic.removesuffix("landmarks")}odom' not in topics
         and topic.removesuffix('/landmarks') not in robots]
-    rows: dict[str, list[PoseRow]] = {robot: [] for robot in robots}
-    landmarks, own_frames = NO_LANDMARKS, {*map(own_frame, robots)}
-    nis: dict[str, dict[str, NisSum]] = {}
+    results = _PublishedResults(robots, maps)
+    invalid = _read_messages(path, results.types, names, results.add)
+    # The first node that reports NIS; a second one would be another estimator.
+    nis = next(iter(results.nis.values()), {})
+    return RunResult(
+        _trajectories(results.rows), results.landmarks, nis, invalid_messages=invalid)
 
-    def read(topic: str, message: Message) -> None:
-        nonlocal landmarks
-        if topic in maps:
-            if message.header.frame_id not in own_frames:
-                landmarks = LandmarkMap(*own_results.map_landmarks(message))
+
+class _PublishedResults:
+    """
+    Results from messages on output topics.
+
+    Parameters
+    ----------
+    robots : names of robots with topics of poses
+    maps : topics of maps
+
+    Attributes
+    ----------
+    types : types of the topics that are read
+    rows : poses of each robot
+    landmarks : the last map
+    nis : NIS of each robot, by node
+
+    """
+
+    def __init__(self, robots: Iterable[str], maps: Iterable[str]) -> None:
+        self.rows: dict[str, list[PoseRow]] = {robot: [] for robot in robots}
+        self.landmarks = NO_LANDMARKS
+        self.nis: dict[str, dict[str, NisSum]] = {}
+        self._maps = {*maps}
+        self._own_frames = {*map(own_frame, self.rows)}
+        self.types = {
+            **dict.fromkeys(self._maps, CLOUD),
+            **dict.fromkeys(DIAGNOSTICS, TYPES[DIAGNOSTICS_TOPIC]),
+            **{f'{robot}/pose': POSE_WITH_COVARIANCE for robot in self.rows}}
+
+    def add(self, topic: str, message: Message) -> None:
+        """Add a message, or raise RejectedError."""
+        if topic in self._maps:
+            if message.header.frame_id not in self._own_frames:
+                self.landmarks = LandmarkMap(*own_results.map_landmarks(message))
         elif topic in DIAGNOSTICS:
-            for node, robots_of in own_results.nis(message).items():
-                nis.setdefault(node, {}).update(
-                    (name, NisSum(*sums)) for name, sums in robots_of.items())
+            for node, robots in own_results.nis(message).items():
+                self.nis.setdefault(node, {}).update(
+                    (name, NisSum(*sums)) for name, sums in robots.items())
         else:
             estimate = own_results.pose_estimate(message, topic.partition('/')[0])
             # The parameter map_frame gives the frame map another name in messages.
-            frame = estimate.frame if estimate.frame in own_frames else MAP
-            rows[estimate.robot].append(PoseRow(estimate.stamp, frame, estimate.pose, estimate.P))
-
-    wanted = {
-        **dict.fromkeys(maps, CLOUD), **dict.fromkeys(DIAGNOSTICS, TYPES[DIAGNOSTICS_TOPIC]),
-        **{f'{robot}/pose': POSE_WITH_COVARIANCE for robot in robots}}
-    invalid = _read_messages(path, wanted, names, read)
-    # The first node that reports NIS; a second one would be another estimator.
-    return RunResult(
-        _trajectories(rows), landmarks, next(iter(nis.values()), {}), invalid_messages=invalid)
+            frame = estimate.frame if estimate.frame in self._own_frames else MAP
+            self.rows[estimate.robot].append(
+                PoseRow(estimate.stamp, frame, estimate.pose, estimate.P))
 
 
 def read_truth(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
