@@ -36,7 +36,7 @@ from fej_slam_ros.evaluation.run_evaluation import (
     ROBOT_ALIGNED, RunEvaluation, TEAM_ALIGNED, UNALIGNED)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 from fej_slam_ros.output_lock import OutputLock
-from fej_slam_ros.ros.files import run_results
+from fej_slam_ros.ros.files import recorded_truth, run_results
 from fej_slam_ros.ros.files.run_files import tum_line
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.tables import interval, text_table
@@ -102,7 +102,7 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     sources = _sources(arguments)
     names, truth = sources.run_names, sources.truth
     result = run_results.read_bag(path, names) if is_bag else run_results.read_folder(path)
-    true_data, invalid_truth = run_results.read_truth(truth, sources.truth_names)
+    true_data, invalid_truth = recorded_truth.read_truth(truth, sources.truth_names)
     evaluation = RunEvaluation(result, true_data, arguments.delta)
     report = {'run': str(path), 'truth': str(truth), **evaluation.as_dict()}
     for name, count, what, source in (
@@ -139,7 +139,7 @@ def _sources(arguments: argparse.Namespace) -> Sources:
     run_names = given or TopicNames(namespace=stored.namespace)
     if given_truth is not None:
         return Sources(run_names, given_truth, given)
-    if is_bag and run_results.has_truth(run, run_names):
+    if is_bag and recorded_truth.has_truth(run, run_names):
         return Sources(run_names, run, run_names)
     if truth is None:
         if not is_bag:

@@ -1,43 +1,32 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Read the results of a run from a folder or a bag, and ground truth, for evaluation.
+Read the results of a run from a folder or a bag, for evaluation.
 
 Missing or damaged files raise UserError.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-import csv
-from decimal import Decimal, DecimalException
+from collections.abc import Callable, Iterable, Mapping, Sequence
 import json
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
 from fej_slam_ros.core.frame_names import MAP, own_frame
-from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.records import NS, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, LandmarkMap, NisSum, RunResult
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.csv_rows import (
     LANDMARK_COLUMNS, PoseRow, read_landmark, read_pose, TRAJECTORY_COLUMNS)
+from fej_slam_ros.ros.files.row_files import read_table
 from fej_slam_ros.ros.files.topic_names import topic_names, TopicNames
-from fej_slam_ros.ros.messages import decoded, incoming, incoming_clouds, Message, own_results
-from fej_slam_ros.ros.messages.common import from_quaternion
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
+from fej_slam_ros.ros.messages import decoded, incoming, Message, own_results
+from fej_slam_ros.ros.session.inputs import CLOUD, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
 from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, TYPES
-from fej_slam_ros.tables import Cells, finite_numbers
 
 #: Beginning of the names of the files with trajectories.
 TRAJECTORY = 'trajectory_'
-#: Columns of a TUM file after the time.
-TUM_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
-SourceT = TypeVar('SourceT')
-RowT = TypeVar('RowT')
 
 #: Names of /diagnostics in a bag, without and with a namespace of the robots.
 DIAGNOSTICS = {DIAGNOSTICS_TOPIC.lstrip('/'), DIAGNOSTICS_TOPIC}
@@ -50,11 +39,6 @@ NO_SUMMARY: dict[str, Any] = {'bag': '', 'remap': [], 'namespace': '', 'nis': {}
 def is_bag(path: Path) -> bool:
     """Return whether a path is a rosbag2: a folder, or a single file of one."""
     return path.is_file() or (path / 'metadata.yaml').is_file()
-
-
-def has_truth(bag: Path, names: TopicNames) -> bool:
-    """Return whether a bag has ground truth of any robot."""
-    return bool(_robots(bags.topics(bag, names), 'ground_truth', ODOMETRY))
 
 
 def bag_of(folder: Path) -> Path | None:
@@ -73,7 +57,7 @@ def read_folder(folder: Path) -> RunResult:
     """Return the results in files of `replay`, `smooth` or a node."""
     refuse_other_folder(folder)
     rows = {
-        path.stem.removeprefix(TRAJECTORY): [*_table(path, TRAJECTORY_COLUMNS, read_pose)]
+        path.stem.removeprefix(TRAJECTORY): [*read_table(path, TRAJECTORY_COLUMNS, read_pose)]
         for path in _trajectory_files(folder)}
     shared_ids = not (folder / 'ids.csv').exists()
     nis = {
@@ -97,7 +81,7 @@ def _trajectory_files(folder: Path) -> list[Path]:
 def read_bag(path: Path, names: TopicNames) -> RunResult:
     """Return the results on the output topics in a bag: all poses and the last map."""
     topics = bags.topics(path, names)
-    robots = _robots(topics, 'pose', POSE_WITH_COVARIANCE)
+    robots = robots_with(topics, 'pose', POSE_WITH_COVARIANCE)
     if not robots:
         raise UserError(
             f'{path} has no topic <robot>/pose of type {POSE_WITH_COVARIANCE}, it has'
@@ -109,7 +93,7 @@ def read_bag(path: Path, names: TopicNames) -> RunResult:
         and topic != TRUE_LANDMARKS and f'{topic.removesuffix("landmarks")}odom' not in topics
         and topic.removesuffix('/landmarks') not in robots]
     results = _PublishedResults(robots, maps)
-    invalid = _read_messages(path, results.types, names, results.add)
+    invalid = read_messages(path, results.types, names, results.add)
     # The first node that reports NIS; a second one would be another estimator.
     nis = next(iter(results.nis.values()), {})
     return RunResult(
@@ -162,58 +146,13 @@ class _PublishedResults:
                 PoseRow(estimate.stamp, frame, estimate.pose, estimate.P))
 
 
-def read_truth(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
-    """
-    Return ground truth, and the number of invalid messages that are left out.
-
-    It comes from its topics in a bag or from ``<robot>.tum`` in a folder.
-    In a folder, ``<robot>_truth.tum`` takes precedence over ``<robot>.tum``, and true landmarks
-    may be in the columns id, x and y of ``landmarks.csv``.
-
-    """
-    return _true_bag(path, names) if is_bag(path) else (_true_folder(path), 0)
-
-
-def _true_bag(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
-    robots = _robots(bags.topics(path, names), 'ground_truth', ODOMETRY)
-    if not robots:
-        raise UserError(
-            f'{path} has no topic <robot>/ground_truth of type {ODOMETRY}: give another bag, or a'
-            ' folder of TUM files, with --truth')
-    truth = RecordedTruth()
-
-    def read(topic: str, message: Message) -> None:
-        truth.add(
-            incoming_clouds.true_landmarks(message) if topic == TRUE_LANDMARKS
-            else incoming.true_pose(message, topic.partition('/')[0]))
-
-    # Messages that the estimator rejects are not ground truth of the evaluation either.
-    invalid = _read_messages(path, {
-        TRUE_LANDMARKS: CLOUD, **{f'{robot}/ground_truth': ODOMETRY for robot in robots}},
-        names, read)
-    return truth, invalid
-
-
-def _true_folder(folder: Path) -> RecordedTruth:
-    files = {path.stem: path for path in sorted(folder.glob('*.tum'))}
-    if not files:
-        raise UserError(
-            f'{folder} is no rosbag2 and has no <robot>.tum: give a bag with <robot>/ground_truth,'
-            ' or a folder of TUM files, with --truth')
-    truth = RecordedTruth()
-    truth.add(TrueLandmarks(_true_landmarks(folder)))
-    for name in sorted({name.removesuffix('_truth') for name in files}):
-        for stamp, pose in _lines(files.get(f'{name}_truth') or files[name], _tum_row):
-            truth.add(TruePose(name, stamp, pose))
-    return truth
-
-
-def _robots(topics: Mapping[str, bags.BagTopic], kind: str, type_name: str) -> list[str]:
+def robots_with(topics: Mapping[str, bags.BagTopic], kind: str, type_name: str) -> list[str]:
+    """Return the robots that have a topic of a kind and type."""
     names = (topic.rpartition('/') for topic in topics if topics[topic].type_name == type_name)
     return sorted(name for name, _, end in names if end == kind and name and '/' not in name)
 
 
-def _read_messages(
+def read_messages(
     path: Path, types: Mapping[str, str], names: TopicNames, read: Callable[[str, Message], None]
 ) -> int:
     """Read the messages on topics of given types; return the number of invalid ones."""
@@ -279,66 +218,8 @@ def _landmarks(folder: Path) -> LandmarkMap:
     path = folder / 'landmarks.csv'
     if not path.exists():
         return NO_LANDMARKS
-    rows = [row for row in _table(path, LANDMARK_COLUMNS, read_landmark) if row.frame == MAP]
+    rows = [row for row in read_table(path, LANDMARK_COLUMNS, read_landmark) if row.frame == MAP]
     if not rows:
         return NO_LANDMARKS
     ids, _, points, P = zip(*rows)
     return LandmarkMap(np.array(ids, np.int64), np.array(points), np.array(P))
-
-
-def _true_landmarks(folder: Path) -> dict[int, Array]:
-    path = folder / 'landmarks.csv'
-    return dict(_table(path, ('id', 'x', 'y'), _true_landmark)) if path.exists() else {}
-
-
-def _table(path: Path, columns: Sequence[str], read: Callable[[Cells], RowT]) -> Iterator[RowT]:
-    """Yield the rows of a CSV file that has at least some columns."""
-    with _reading(path), path.open(encoding='utf-8', newline='') as file:
-        rows = csv.DictReader(file)
-        missing = [name for name in columns if name not in (rows.fieldnames or ())]
-        if missing:
-            raise UserError(
-                f'{path} lacks the column {missing[0]} of {",".join(columns)}: give a file that'
-                ' this package wrote')
-        yield from _parsed(path, rows, read, first=2)
-
-
-def _lines(path: Path, read: Callable[[str], RowT]) -> Iterator[RowT]:
-    """Yield the content of each line of a file that is not empty and no comment."""
-    with _reading(path), path.open(encoding='utf-8') as file:
-        lines = (line for line in file if line.strip() and not line.startswith('#'))
-        yield from _parsed(path, lines, read, first=1)
-
-
-def _parsed(
-    path: Path, rows: Iterable[SourceT], read: Callable[[SourceT], RowT], first: int
-) -> Iterator[RowT]:
-    number = first
-    try:
-        for number, row in enumerate(rows, first):  # noqa: B007
-            yield read(row)
-    except (ValueError, TypeError, DecimalException, OverflowError):
-        raise UserError(
-            f'{path}: row {number} is damaged, correct it or write the file again') from None
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise UserError(f'{path} cannot be read, give another file: {error}') from None
-
-
-def _true_landmark(cells: Cells) -> tuple[int, Array]:
-    return int(cells['id'] or ''), np.array(finite_numbers(cells, 'xy'))
-
-
-def _tum_row(line: str) -> tuple[int, Array]:
-    seconds, *words = line.replace(',', ' ').split()
-    numbers = finite_numbers(dict(zip(TUM_COLUMNS, words, strict=True)), TUM_COLUMNS)
-    x, y, _, *quaternion = numbers
-    if abs(sum(np.square(quaternion)) - 1.0) > incoming.NORM_TOLERANCE:
-        raise ValueError('its quaternion does not have the norm 1')
-    # A float would lose the nanoseconds.
-    return round(Decimal(seconds) * NS), np.array([x, y, from_quaternion(*quaternion)])
