@@ -8,9 +8,10 @@ import math
 
 import numpy as np
 
+from fej_slam_ros.core.geometry import Flags, Indices
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.detection.detections import Detections, RejectedSegment
-from fej_slam_ros.detection.laser_scan import beams_of, LaserScan, TOO_NEAR
+from fej_slam_ros.detection.laser_scan import Beams, beams_of, LaserScan, TOO_NEAR
 from fej_slam_ros.detection.segments import largest_jumps, MAX_BEAM_GAP
 
 #: Mean of sqrt(1 - b^2) over the offsets b of beams from the centre of a circle, and its variance.
@@ -40,39 +41,18 @@ class ReflectorDetector:
 
     def __call__(self, scan: LaserScan) -> Detections:
         """Return the reflectors in a scan, which must have intensities."""
-        if scan.intensities is None:
-            raise ValueError('a scan without intensities')
-        beams, rejected = beams_of(scan, self.max_range), Counter[RejectedSegment]()
-        is_bright = np.isfinite(beams.ranges)
-        is_bright &= scan.intensities[beams.index] >= self.intensity_threshold
-        if is_bright.all():
-            return Detections.none(rejected)
-        if beams.is_closed:
-            begin = int(np.argmin(is_bright))
-            beams, is_bright = beams.turned(begin), np.roll(is_bright, -begin)
-        bright = np.flatnonzero(is_bright)
+        beams, bright = self._bright(scan)
         if not len(bright):
-            return Detections.none(rejected)
-        a, r = beams.angles[bright], beams.ranges[bright]
-        gaps, width = np.diff(a), np.minimum(r[1:], r[:-1]) * np.diff(a)
-        jumps = largest_jumps(width, max(self.radius, MIN_RADIUS), self.range_sigma)
-        is_new = (gaps > MAX_BEAM_GAP * beams.increment) | (np.abs(np.diff(r)) > jumps)
-        first = np.flatnonzero(np.append(True, is_new))
-        count = np.diff(np.append(first, len(bright)))
-        # Something nearer beside a reflector may hide a part of it.
-        padded = beams.padded(
-            *((beams.ranges[-1], beams.ranges[0]) if beams.is_closed else (TOO_NEAR, TOO_NEAR)))
-        last = first + count - 1
-        slack = largest_jumps(np.zeros(1), 0.0, self.range_sigma)
-        is_seen = (padded.ranges[bright[first]] > r[first] - slack) & (
-            padded.ranges[bright[last] + 2] > r[last] - slack)
-        rejected[RejectedSegment.OCCLUDED] += int(np.count_nonzero(~is_seen))
+            return Detections.none(Counter())
+        first, count = self._runs(beams, bright)
+        is_seen = self._are_seen(beams, bright[first], bright[first + count - 1])
+        rejected = Counter({RejectedSegment.OCCLUDED: int(np.count_nonzero(~is_seen))})
         if not is_seen.any():
             return Detections.none(rejected)
-        runs = [slice(i, i + n) for i, n in zip(first[is_seen], count[is_seen])]
-        count = count[is_seen]
-        D = np.array([r[run].mean() for run in runs]) + MEAN_DEPTH * self.radius
-        theta = np.array([a[run][[0, -1]].mean() for run in runs])
+        first, count = first[is_seen], count[is_seen]
+        runs = [bright[i:i + n] for i, n in zip(first, count)]
+        D = np.array([beams.ranges[run].mean() for run in runs]) + MEAN_DEPTH * self.radius
+        theta = np.array([beams.angles[run[[0, -1]]].mean() for run in runs])
         # The beams are spread evenly over the circle, so that the errors of their depths cancel.
         variance = self.range_sigma**2 / count + DEPTH_VARIANCE * (self.radius / count) ** 2
         # Each edge is anywhere between two beams.
@@ -81,5 +61,37 @@ class ReflectorDetector:
         return Detections(
             np.array([z for z, _ in observed]), np.array([R for _, R in observed]),
             np.full(len(D), self.radius),
-            np.array([beams.index[bright[run]][n // 2] for run, n in zip(runs, count)]), count,
+            np.array([beams.index[run[len(run) // 2]] for run in runs]), count,
             np.ones(len(D), bool), rejected)
+
+    def _bright(self, scan: LaserScan) -> tuple[Beams, Indices]:
+        """Return the beams, turned so that no reflector is divided, and the bright ones."""
+        if scan.intensities is None:
+            raise ValueError('a scan without intensities')
+        beams = beams_of(scan, self.max_range)
+        is_bright = np.isfinite(beams.ranges)
+        is_bright &= scan.intensities[beams.index] >= self.intensity_threshold
+        if is_bright.all():
+            return beams, np.empty(0, np.int64)
+        if beams.is_closed:
+            begin = int(np.argmin(is_bright))
+            beams, is_bright = beams.turned(begin), np.roll(is_bright, -begin)
+        return beams, np.flatnonzero(is_bright)
+
+    def _runs(self, beams: Beams, bright: Indices) -> tuple[Indices, Indices]:
+        """Return begin and length of each run of bright beams that meet one object."""
+        a, r = beams.angles[bright], beams.ranges[bright]
+        gaps, width = np.diff(a), np.minimum(r[1:], r[:-1]) * np.diff(a)
+        jumps = largest_jumps(width, max(self.radius, MIN_RADIUS), self.range_sigma)
+        is_new = (gaps > MAX_BEAM_GAP * beams.increment) | (np.abs(np.diff(r)) > jumps)
+        first = np.flatnonzero(np.append(True, is_new))
+        return first, np.diff(np.append(first, len(bright)))
+
+    def _are_seen(self, beams: Beams, first: Indices, last: Indices) -> Flags:
+        """Return whether nothing nearer beside runs of beams may hide a part of a reflector."""
+        padded = beams.padded(
+            *((beams.ranges[-1], beams.ranges[0]) if beams.is_closed else (TOO_NEAR, TOO_NEAR)))
+        slack = largest_jumps(np.zeros(1), 0.0, self.range_sigma)
+        are_seen: Flags = (padded.ranges[first] > beams.ranges[first] - slack) & (
+            padded.ranges[last + 2] > beams.ranges[last] - slack)
+        return are_seen
