@@ -53,6 +53,8 @@ ODOMETRY_HEADINGS = (
 
 #: Range of the noise scale parameters.
 MIN_SCALE, MAX_SCALE = 1e-3, 1e3
+#: Factor on noise beyond which something else is wrong.
+MAX_USUAL = 5.0
 
 
 class ScaleEstimate(NamedTuple):
@@ -64,8 +66,6 @@ class ScaleEstimate(NamedTuple):
 
 #: Estimates by kind of noise.
 Estimates = Mapping[str, ScaleEstimate]
-#: Factor on noise beyond which something else is wrong.
-MAX_USUAL = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

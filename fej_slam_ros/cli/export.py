@@ -9,7 +9,7 @@ beside the output are those to run the exported data with: what was applied to t
 
 from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -45,10 +45,6 @@ class Exported(NamedTuple):
 
     report: list[str]  #: lines with the numbers of records
     robots: list[str]  #: names in the order in which `convert` numbers them
-
-
-#: Writes the output from messages and settings.
-Export = Callable[[Path, Iterable[RawMessage], RunSettings], Exported]
 
 
 def add_arguments(parser: ArgumentParser) -> None:

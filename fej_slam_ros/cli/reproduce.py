@@ -48,6 +48,9 @@ OBSERVABILITY_STEPS = 10
 CSAM_FIGURES = {'map_joining': 'csam_figure_5.png', 'sensor_extension': 'csam_figure_6.png'}
 #: Experiment in which the robots exchange their logs, and its figure.
 EXCHANGE, EXCHANGE_FIGURE = 'map_joining', 'csam_exchange.png'
+#: Options of Monte Carlo runs, and of where they take place.
+MONTE_CARLO = frozenset({'runs', 'run', 'seed', 'jobs', 'dask'})
+WORKERS = frozenset({'jobs', 'dask'})
 
 
 class Order(NamedTuple):
@@ -62,11 +65,6 @@ class Order(NamedTuple):
         """Return the authors' worlds if there are data, or our own."""
         data = self.arguments.data
         return tables.OWN_WORLDS if data is None else tables.authors(data)
-
-
-#: Options of Monte Carlo runs, and of where they take place.
-MONTE_CARLO = frozenset({'runs', 'run', 'seed', 'jobs', 'dask'})
-WORKERS = frozenset({'jobs', 'dask'})
 
 
 class Part(NamedTuple):

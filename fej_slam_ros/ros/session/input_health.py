@@ -31,8 +31,6 @@ RATE_WINDOW = 5 * NS
 MIN_GATE_SAMPLE = 10
 #: Observations older than this [ns] no longer tell the present state.
 OBSERVATION_WINDOW = 30 * NS
-
-
 #: Minimum number of messages, and minimum time [ns], for which all must be rejected: one bad
 #: message is no fault, and two reports are a second apart.
 MIN_REJECTED = 3
