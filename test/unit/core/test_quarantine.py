@@ -14,16 +14,18 @@ VIEW = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0)), (4, (3.0, 4.0))]
 SHIFTED = [(k, (x - 20.0, y)) for k, (x, y) in VIEW]
 NEW = (9, (1.0, 1.0))
 AT_REST = np.diag([1e-4, 1e-4, 1e-4])
+#: Twist covariance of a poor gyroscope: 0.05 rad in each 0.1 s.
+DRIFTING = np.diag([1e-4, 1e-4, 0.25])
 
 
-def standing(views, jumps=(), others=()):
+def standing(views, jumps=(), others=(), twist_covariance=AT_REST):
     """Return the records of r1 and r2, which stand; r2 has a view and odometry at each 0.1 s."""
     records = []
     for k, view in enumerate(views):
         x = sum(jump for when, jump in jumps if when <= k)
         records += [
             odometry('r1', 100 * k, (0.0, 0.0, 0.0), AT_REST), scan('r1', 100 * k, VIEW),
-            odometry('r2', 100 * k, (x, 0.0, 0.0), AT_REST), scan('r2', 100 * k, view)]
+            odometry('r2', 100 * k, (x, 0.0, 0.0), twist_covariance), scan('r2', 100 * k, view)]
         records += [robot_scan('r2', 100 * k, [('r1', (0.0, 0.0))])] if k in others else []
     return records
 
@@ -115,3 +117,31 @@ def test_impossible_odometry_is_rejected_and_the_robot_joins_at_its_next_scan():
     assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.IMPOSSIBLE_MOTION: 1}
     assert estimator.statistics.restart_reasons == {'r2': 'its odometry moved 30.0 m in 0.10 s'}
     np.testing.assert_allclose(estimator.pose('r2').pose, np.zeros(3), atol=0.1)
+
+
+@pytest.mark.parametrize(('last', 'others', 'middle', 'reasons'), [
+    # sqrt(61) 0.05 rad since the last correction, more than the 0.3 rad that are linearised.
+    (VIEW[:1], (), (), {'r2': 'its heading has become uncertain by 0.39 rad'}),
+    ([], (65,), (), {'r2': 'its heading has become uncertain by 0.39 rad'}),
+    ([NEW], (), (), {}),
+    # sqrt(31) 0.05 rad before and sqrt(30) 0.05 rad after a correction.
+    (VIEW, (), [scan('r2', 3500, VIEW[:1])], {}),
+    (VIEW, (), [robot_scan('r2', 3500, [('r1', (0.0, 0.0))])], {}),
+    (VIEW, (), [robot_scan('r1', 3500, [('r2', (0.0, 0.0))])], {})])
+def test_a_robot_restarts_if_its_heading_drifted_for_long_without_correction(
+        last, others, middle, reasons):
+    views = [*[VIEW] * 5, *[[]] * 60, last, []]
+
+    estimator, _ = estimate([*standing(views, (), others, DRIFTING), *middle])
+
+    assert estimator.statistics.restart_reasons == {
+        robot: f'{reason} since it was last corrected' for robot, reason in reasons.items()}
+
+
+def test_the_last_robot_of_a_map_stays_in_it_however_its_heading_drifted():
+    records = standing([*[VIEW] * 5, *[[]] * 60, VIEW, []], twist_covariance=DRIFTING)
+
+    estimator, results = estimate([r for r in records if r.robot == 'r2'], ['r2'], anchor='r2')
+
+    assert set(frames(results)) == {'map'}
+    assert not estimator.statistics.relocalized

@@ -253,6 +253,14 @@ def test_trusted_landmarks_decide_whether_a_pose_is_suspected(trusted, failed, s
     assert statistics.mostly_failed() == suspected
 
 
+def test_untrusted_landmarks_of_other_robots_tell_nothing_about_a_pose():
+    statistics = ScanGateStatistics()
+    for k in range(3):
+        statistics.add('r1', Landmark(('', k), Slot(0, 2), 'r2', 0, is_trusted=False), True)
+
+    assert statistics == ScanGateStatistics()
+
+
 @pytest.mark.parametrize(('known', 'trusted', 'clears'), [
     (3, 0, True), (2, 2, True), (2, 1, False), (2, 0, False)])
 def test_three_known_or_two_trusted_landmarks_can_clear_a_suspected_robot(known, trusted, clears):
