@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.linalg import block_diag
 
+from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant
 from fej_slam_ros.core.ekf.state import state_of_prior_map
 from fej_slam_ros.core.joining.initial_alignment import align, InitialAlignment
@@ -143,12 +144,13 @@ def test_landmarks_belong_to_robots_of_the_team():
 
 
 def known_map(rng):
-    """Return a state with the anchor, known exactly, in a correlated map of all landmarks."""
+    """Return a state with the anchor in a map of all landmarks, with correlated errors."""
     points = np.array([*LANDMARKS.values()])
     state = state_of_prior_map(PriorMap(
-        tuple(LANDMARKS), points + rng.normal(0.0, 0.1, points.shape),
-        0.01 * random_covariance(rng, points.size)))
-    state.insert_robot('r1', 0, POSES['r1'], np.zeros((3, 3)))
+        tuple(LANDMARKS), points + rng.normal(0.0, 0.1, points.shape), np.eye(points.size)))
+    state.insert_robot('r1', 0, POSES['r1'], np.eye(3))
+    state.covariance = Covariance()
+    state.covariance.insert(0.01 * random_covariance(rng, points.size + 3))
     return state
 
 
@@ -179,7 +181,8 @@ def test_known_landmarks_that_nobody_observes_are_solved_for_with_the_others(pol
                 {'r1': POSES['r1']}, {f.key: before.estimate(f) for f in landmarks},
                 before.marginal([anchor, *landmarks])), {'r2': POSES['r2']}, {}, scans,
             lambda poses, points: (
-                poses, {key: before.estimate(before.landmarks[key]) for key in points}))
+                {**poses, 'r1': POSES['r1']},
+                {key: before.estimate(before.landmarks[key]) for key in points}))
         assert_allclose(state.marginal(variables), linear.P, atol=1e-9)
     assert [*state.landmarks] == [('', n) for n in (0, 1, 2, 4, 3, 5)]
 
