@@ -341,9 +341,11 @@ def test_a_landmark_that_was_observed_once_does_not_determine_the_heading_alone(
     assert MapJoiner(3, 0.999).join(*filters) is None
 
 
-def test_a_landmark_that_was_observed_once_and_contradicts_the_others_is_left_out():
+@pytest.mark.parametrize('confirmed_in', [[], [0], [1]])
+def test_a_landmark_that_a_map_observed_once_and_contradicts_the_others_is_left_out(confirmed_in):
     team, group, _ = two_maps(shared=6)
     group.x_hat[group.landmarks['', 3].slot.indices] += [-0.6, 0.0]
+    reobserve([(team, group)[k] for k in confirmed_in], 3)
     filters = [Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)]
     # All six landmarks together pass.
     joiner = MapJoiner(3, 1.0 - 1e-15)
