@@ -59,15 +59,16 @@ class Joining:
         self.observe_landmarks('r1', POINTS[:count])
         self.observe_landmarks('r2', in_frame_of_r2(POINTS[:count]))
 
-    def observe_robot(self, stamp, position, error=(0.0, 0.0)):
-        """Let r1 observe r2 at a position in r2's frame."""
+    def observe_robot(self, stamp, position, error=(0.0, 0.0), suspected=()):
+        """Let r1 observe r2 at a position in r2's frame; some robots may be lost."""
         state = self.groups.of('r2').state
         robot = state.robots['r2']
         state.x_hat[robot.slot.indices] = [*position, 0.0]
         z = G[:2] + turn(G[2]) @ position + error
         observation = RobotObservation('r2', z, 1e-4 * np.eye(2))
         self.statistics.observations_used['r1'] += 1
-        self.joiner.add_rendezvous_points(RobotScan('r1', stamp, (observation,)), {}.get)
+        self.joiner.add_rendezvous_points(
+            RobotScan('r1', stamp, (observation,)), suspected.__contains__)
 
     def pose_of_r2(self):
         state = self.groups.team.state
@@ -190,6 +191,41 @@ def test_a_robot_that_has_not_moved_gives_no_second_rendezvous_point(joining):
     assert joining.statistics.observations_used == {'r1': 1}
 
 
+@pytest.mark.parametrize('suspected', ['r1', 'r2'])
+def test_an_observation_by_or_of_a_robot_that_may_be_lost_gives_no_rendezvous_point(
+        joining, suspected):
+    joining.observe_robot(7, (1.0, 2.0), suspected=[suspected])
+
+    assert not any(group.state.rendezvous_points for group in joining.groups)
+    (rejection,) = joining.statistics.rejections
+    assert (rejection.reason, rejection.robot, rejection.observed, rejection.stamp) == (
+        RejectionReason.LOST_ROBOT, 'r1', 'r2', 7)
+    assert joining.statistics.observations_used == {'r1': 0}
+
+
+@pytest.mark.parametrize('reobserved_by', [[], ['r1'], ['r2']])
+def test_a_landmark_that_contradicts_the_others_is_removed_and_rejected_if_observed_once(
+        joining, reobserved_by):
+    joining.share_landmarks(4)
+    joining.observe_landmarks('r1', [(-4.0, -3.0)], first_id=4)
+    joining.observe_landmarks('r2', in_frame_of_r2([(-4.0, -6.0)]), first_id=4)
+    for robot in reobserved_by:
+        joining.groups.of(robot).state.landmarks['', 4].is_reobserved = True
+
+    joining.joiner.join({})
+
+    assert joining.groups.not_in_map == {'r2': '1 of 5 shared landmarks contradict the others'}
+    assert all(('', 4) not in group.state.landmarks for group in joining.groups)
+    # Both robots began at the stamp 5.
+    assert [(r.robot, r.reason, r.stamp, r.id) for r in joining.statistics.rejections] == [
+        (robot, RejectionReason.GATED, 5, 4)
+        for robot in ('r1', 'r2') if robot not in reobserved_by]
+
+    joining.joiner.join({})
+
+    assert [group.frame for group in joining.groups] == ['map']
+
+
 def test_an_outlier_among_rendezvous_points_is_dropped_and_the_rest_joins(joining):
     for stamp, x in enumerate((0.0, 2.0, 4.0, 6.0, 8.0)):
         joining.observe_robot(
@@ -220,6 +256,18 @@ def test_a_pose_prior_joins_the_frame_of_its_robot_at_its_next_step(joining):
 
     assert [group.frame for group in joining.groups] == ['map']
     assert_allclose(joining.pose_of_r2(), G, atol=1e-12)
+
+
+def test_a_map_of_rendezvous_points_alone_is_dropped_if_its_robot_joins_without_it(joining):
+    joining.observe_robot(6, (0.0, 0.0))
+    # The heading may be linearised, but is too uncertain to join frames.
+    joining.pose_priors.add(PosePrior('r2', 7, G, np.diag([0.01, 0.01, 0.04])))
+
+    joining.joiner.apply_pose_priors('r2', 7)
+
+    assert [group.frame for group in joining.groups] == ['map']
+    assert_allclose(joining.pose_of_r2(), G)
+    assert not joining.groups.team.state.rendezvous_points
 
 
 def test_a_pose_prior_that_contradicts_shared_landmarks_is_rejected(joining):
