@@ -9,6 +9,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.ordering.missed_motion import missed_motion
+from fej_slam_ros.core.records import Motion
 from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import odometry
 
@@ -49,10 +50,11 @@ def test_on_a_straight_path_the_covariance_is_that_of_all_its_increments():
     motion = heard_after(steps)
 
     np.testing.assert_allclose(motion.u, [10.0, 0.0, 0.0], atol=1e-12)
-    # 4000 samples give variances to 2.2 % (one sigma).
+    # 4000 samples give variances to 2.2 % (one sigma), and correlations to 0.016.
     sample = np.cov(errors_of(steps).T)
-    np.testing.assert_allclose(np.diag(motion.Q), np.diag(sample), rtol=0.08)
-    np.testing.assert_allclose(motion.Q[1, 2], sample[1, 2], rtol=0.08)
+    sigma = np.sqrt(sample.diagonal())
+    np.testing.assert_allclose(
+        motion.Q / np.outer(sigma, sigma), sample / np.outer(sigma, sigma), atol=0.08)
 
 
 @pytest.mark.parametrize('turn', [0.02, 0.0628, -0.1])
@@ -92,6 +94,17 @@ def test_a_motion_that_cannot_be_known_has_a_reason(first, missed, reason):
 
     assert reason in found
     assert 'first odometry received is' in found
+
+
+@pytest.mark.parametrize(('speed', 'distance', 'is_known'), [
+    # In 2 s: at three times the speed of the increment, or at 1 m/s.
+    (1.0, 5.9, True), (1.0, 6.1, False), (0.1, 1.9, True), (0.1, 2.1, False)])
+def test_the_motion_is_known_if_its_speed_is_plausible(speed, distance, is_known):
+    found = missed_motion(
+        odometry('r1', 0, (distance, 0.0, 0.0), TWIST_COVARIANCE),
+        odometry('r1', 100, (distance + 0.1 * speed, 0.0, 0.0), TWIST_COVARIANCE), 20, ROBOT)
+
+    assert isinstance(found, Motion) == is_known
 
 
 def test_the_motion_leads_from_the_origin_to_the_first_odometry():

@@ -7,7 +7,9 @@ from math import cos, pi, sin
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.ordering.odometry_increments import increment, OdometryIncrements, split
+from fej_slam_ros.core.ordering.impossible_motion import Speeds, UNKNOWN_SPEEDS
+from fej_slam_ros.core.ordering.odometry_increments import (
+    increment, OdometryIncrements, split, unknown_motion)
 from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import MS, odometry
 
@@ -65,8 +67,12 @@ def test_a_jump_is_one_impossible_motion_and_the_motion_after_it_goes_on(stamps)
     for ms, x in [(0, 0.0), (100, 0.1), (200, 30.0), (300, 30.1)]:
         increments.add(odometry('r1', ms, (x, 0.0, 0.0)))
 
-    motions = [increments.advance(ms * MS) for ms in (0, 100, *stamps)]
+    motions, poses = [], []
+    for ms in (0, 100, *stamps):
+        motions.append(increments.advance(ms * MS))
+        poses.append(increments.pose[0])
 
+    assert poses == [0.0, 0.1, *[30.0] * (len(stamps) - 1), 30.1]
     assert [motion.impossible for motion in motions[1:]] == [
         '', 'its odometry moved 29.9 m in 0.10 s', *[''] * (len(stamps) - 1)]
     np.testing.assert_allclose(motions[-1].u, [0.1, 0.0, 0.0], atol=1e-9)
@@ -75,3 +81,13 @@ def test_a_jump_is_one_impossible_motion_and_the_motion_after_it_goes_on(stamps)
         np.testing.assert_array_equal(motion.u, np.zeros(3))
         assert motion.Q[0, 0] == pytest.approx(
             ((200 - stamps[0]) / 1000) ** 2 * (end - begin) / (200 - stamps[0]))
+
+
+@pytest.mark.parametrize(('before', 'sigma'), [
+    (Speeds(4.0, 0.5), [2.0, 2.0, 0.5]), (UNKNOWN_SPEEDS, [0.5, 0.5, 0.5])])
+def test_an_unknown_motion_is_as_uncertain_as_the_speed_before_but_at_least_1_m_per_s(
+        before, sigma):
+    u, noise = unknown_motion(0.5, before)
+
+    np.testing.assert_array_equal(u, np.zeros(3))
+    np.testing.assert_allclose(noise, np.diag(np.square(sigma)))
