@@ -47,10 +47,14 @@ def test_of_many_records_at_a_stamp_any_one_can_be_removed():
 
 
 def test_the_oldest_records_are_forgotten():
-    memory = memory_of(odometry('r1', ms) for ms in range(MAX_REMEMBERED + FORGOTTEN_TOGETHER))
+    others = scan('r1', 0), scan('r1', 0, [(1, (1.0, 0.0))])
 
+    memory = memory_of([*others, *(
+        odometry('r1', ms) for ms in range(1, MAX_REMEMBERED + FORGOTTEN_TOGETHER))])
+
+    assert not any(memory.contains(identity(record)) for record in others)
     last = FORGOTTEN_TOGETHER - 1
-    remembered = [memory.contains(identity(odometry('r1', ms))) for ms in (0, last, last + 1)]
+    remembered = [memory.contains(identity(odometry('r1', ms))) for ms in (1, last, last + 1)]
     assert remembered == [False, False, True]
     assert memory.forgotten == last * MS
 

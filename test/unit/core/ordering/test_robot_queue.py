@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
-from fej_slam_ros.core.records import merged
+from fej_slam_ros.core.records import merged, RobotScan, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
-from helpers.records import MS, odometry, scan
+from helpers.records import MS, odometry, robot_scan, scan
 
 SIGMA = (0.2, 0.1, 0.4)
 
@@ -204,6 +204,18 @@ def test_two_scans_of_one_stamp_become_one_in_the_order_of_ids():
     for scans in ([one, two], [two, one]):
         seen = [(s.id, *s.z) for s in merged(scans).observations]
         assert seen == [(2, 1.0, 9.0), (2, 2.0, 0.0), (3, 3.0, 0.0), (5, 1.0, 0.0)]
+
+
+def test_observations_have_the_noise_scale_of_their_kind():
+    queue = RobotQueue(
+        RobotSettings('r1', 1, landmark_noise_scale=2.0, robot_noise_scale=3.0), 1000 * MS)
+    for record in (scan('r1', 0, [(1, (1.0, 0.0))]), robot_scan('r1', 0, [('r2', (1.0, 0.0))])):
+        queue.accept(record)
+
+    variances = {type(s): s.observations[0].R[0, 0] for s in queue.take_scans(0)}
+
+    # 0.1 m, times 2 and times 3.
+    assert variances == pytest.approx({Scan: 0.04, RobotScan: 0.09})
 
 
 def crowd(ms, count, first=0):

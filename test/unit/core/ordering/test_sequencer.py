@@ -290,12 +290,13 @@ def test_a_scan_that_arrives_when_its_stamp_is_passed_but_not_used_is_not_late()
     assert statistics.rejected.total() == 0
 
 
-def test_odometry_within_max_delay_is_used_although_a_scan_divides_the_increment_around_it():
-    sequencer, statistics = sequencer_of('r1')
+@pytest.mark.parametrize('of_r2', [(), (0, 80, 500)])
+def test_odometry_within_max_delay_is_used_although_a_scan_divides_the_increment_around_it(of_r2):
+    sequencer, statistics = sequencer_of('r1', *(['r2'] if of_r2 else []))
 
     steps = all_steps(
-        sequencer, odometry('r1', 0), scan('r1', 80), odometry('r1', 200), odometry('r1', 150),
-        odometry('r1', 500))
+        sequencer, *(odometry('r2', ms) for ms in of_r2), odometry('r1', 0), scan('r1', 80),
+        odometry('r1', 200), odometry('r1', 150), odometry('r1', 500))
 
     assert stamps(steps) == [0, 80, 150, 200, 500]
     assert statistics.rejected.total() == 0
