@@ -14,13 +14,15 @@ POSE = np.array([1.0, -2.0, 0.7])
 POINTS = np.array([[4.0, 0.0], [2.0, 2.0], [-3.0, 1.0], [4.5, 0.5]])
 
 
-def a_scan(seed=4):
+def a_scan(seed=4, metre=1.0):
     """Return a state whose covariance knows no zero, and a scan of its landmarks."""
     rng = np.random.default_rng(seed)
     A = rng.normal(0.0, 0.15, (11, 11))
-    state, robot = a_map(POINTS, A @ A.T + 0.01 * np.eye(11), POSE)
+    unit = np.array([metre, metre, 1.0, *[metre] * 8])
+    state, robot = a_map(
+        metre * POINTS, np.outer(unit, unit) * (A @ A.T + 0.01 * np.eye(11)), unit[:3] * POSE)
     z = (POINTS - POSE[:2]) @ turn(POSE[2]) + rng.normal(0.0, 0.1, POINTS.shape)
-    return state, robot, observations(z)
+    return state, robot, observations(metre * z, 0.1 * metre)
 
 
 def test_innovations_have_their_joint_covariance():
@@ -107,6 +109,17 @@ def test_weights_given_others_equal_those_of_the_pair_accepted_last():
 
     given_others = [float(weight[2]) for weight in chosen.weights_given_others]
     assert given_others == pytest.approx([float(w[0]) for w in left.weights], abs=1e-9)
+
+
+def test_weights_do_not_depend_on_the_unit_of_length():
+    in_m = pairs_of(*a_scan())
+
+    # The odds are for 1 m^2 and for 1 cm^2.
+    in_cm = pairs_of(*a_scan(metre=100.0), odds=ODDS + np.log(100.0 ** 2))
+
+    np.testing.assert_allclose(in_cm.weights, in_m.weights, atol=1e-9)
+    np.testing.assert_allclose(
+        in_cm.weights_given_others, in_m.weights_given_others, rtol=1e-9, atol=1e-6)
 
 
 def test_no_gain_exceeds_its_upper_bound():

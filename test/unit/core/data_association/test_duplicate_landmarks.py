@@ -116,10 +116,11 @@ def test_landmarks_with_observed_ids_are_never_merged():
     assert merge_duplicates(filter_, landmarks) == 0
 
 
-def test_landmarks_of_one_scan_are_never_merged():
+@pytest.mark.parametrize('together', [slice(0, 4), slice(0, 3, 2)])
+def test_landmarks_of_one_scan_are_never_merged(together):
     filter_, landmarks = a_filter()
 
-    assert merge_duplicates(filter_, landmarks, observed_together=landmarks) == 0
+    assert merge_duplicates(filter_, landmarks, observed_together=landmarks[together]) == 0
     assert merge_duplicates(filter_, landmarks) == 0
 
 
@@ -141,6 +142,17 @@ def test_landmarks_farther_apart_than_their_uncertainty_are_not_merged(away):
     filter_, landmarks = a_filter(np.vstack([POINTS[:2], POINTS[:1] + away, POINTS[3:]]))
 
     assert merge_duplicates(filter_, landmarks) == 0
+
+
+def test_an_error_that_two_landmarks_share_does_not_make_them_one():
+    # They are 1 m apart, known to 0.1 m in each other's frame and to 1 m in map.
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [20.0, 0.0]])
+    P = 0.01 * np.eye(9)
+    P[3:, 3:] += np.tile(np.eye(2), (3, 3))
+    state, _ = a_map(points, P)
+    filter_ = Filter(state, FirstEstimates(), Gate(1.0))
+
+    assert merge_duplicates(filter_, [*state.landmarks.values()]) == 0
 
 
 def test_landmarks_as_uncertain_as_their_spacing_are_not_merged():
