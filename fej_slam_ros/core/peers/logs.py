@@ -113,7 +113,7 @@ class Log:
             if known.run > self.run or known.is_ended or not self.is_prefix(known):
                 return
             first, ahead = known.count, known.ahead
-        for number in [*range(first, len(self.blocks)), *sorted(self.ahead)]:
+        for number in [*range(first, len(self.blocks)), *self.ahead]:
             if number not in ahead and number < first + most:
                 yield number
 

@@ -170,8 +170,6 @@ def _read_hello(reader: '_MessageReader', sender: str) -> Hello:
     stamp, = reader.numbers(_STAMP)
     logs, = reader.numbers(_COUNT)
     count, = reader.numbers(_COUNT)
-    if count > MAX_SIZE:
-        raise MessageRejectedError(MessageRejection.CORRUPT)
     known = tuple(_read_knowledge(reader) for _ in range(count))
     echoes = dict(_ECHO.iter_unpack(reader.rest(_ECHO.size)))
     return Hello(sender, run, stamp, logs, known, echoes)
