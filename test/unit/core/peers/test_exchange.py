@@ -55,6 +55,7 @@ def test_everything_arrives_once_over_a_link_that_loses_and_repeats(loss, repeat
         assert {name: known(robot, name) for name in robots} == {
             name: identities(records) for name, records in driven.items()}
         assert robot.exchange.is_complete(radio.now)
+        assert robot.exchange.bytes_sent.total() == radio.bytes[robot.logs.robot]
     # A lost packet is sent again, and little else.
     sent = sum(robot.exchange.bytes_sent['block'] for robot in robots.values())
     size = robots['p'].logs.size()

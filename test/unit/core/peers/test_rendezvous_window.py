@@ -9,12 +9,13 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.csam.base_node import RendezvousInformation
 from fej_slam_ros.core.geometry import between, compose, inverse
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.blocks import BadBlockError
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.rendezvous_window import (
-    read, rendezvous_task, solve_rendezvous, write)
+    read, rendezvous_task, solve_rendezvous, WindowInformation, write)
 from fej_slam_ros.core.records import NS, Odometry, RobotObservation, RobotScan, TruePose
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
 from helpers.core import pose_difference
@@ -119,6 +120,19 @@ def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
     for size in range(1, len(message)):
         with pytest.raises(BadBlockError):
             read(message[:size], 'p', 'q')
+
+
+@pytest.mark.parametrize('poses', [17, 18])
+def test_information_has_at_most_eight_observations_of_each_robot_and_the_start(poses):
+    information = RendezvousInformation(
+        np.zeros((poses, 3)), 0, 0, np.zeros(3), np.eye(3 * poses - 3))
+    message = write(WindowInformation(tuple(range(poses)), information, ()))
+
+    if poses == 17:
+        assert read(message, 'p', 'q').stamps == (*range(17),)
+    else:
+        with pytest.raises(BadBlockError):
+            read(message, 'p', 'q')
 
 
 def test_information_with_numbers_that_are_not_finite_is_taken_for_none():
