@@ -175,6 +175,15 @@ def test_observations_at_one_position_do_not_determine_the_heading():
     assert re.match(r'cannot align: .* 0\.0 sigma, 15 are needed', failure.reason)
 
 
+def test_information_that_leaves_poses_undetermined_is_a_failure():
+    # Of another robot, whose messages may say anything.
+    p, q, observations = rendezvous_of((team := Met(7, ONE_WAY)).maps, team.measurements)
+
+    failure = align(p, replace(q, R_sqrt=0.0 * q.R_sqrt), observations)
+
+    assert failure == JoinFailure('cannot align: the iteration did not converge')
+
+
 def test_outliers_are_inconsistent_with_the_maps():
     team = Met(8, ONE_WAY)
     p, q, observations = rendezvous_of(team.maps, team.measurements)

@@ -59,6 +59,17 @@ def test_a_pose_is_kept_after_a_motion_or_if_a_landmark_was_not_seen_from_there(
     assert not kept(moved(0.0), 8)
 
 
+def test_the_distance_of_keyframes_is_that_of_poses():
+    keyframes = Keyframes(1.0)
+
+    kept = [
+        bool(keyframes.choose([('r1', motion, ())]))
+        for motion in (None, moved(0.9, 0.4), moved(0.104), moved(0.004))]
+
+    # After the turn 0.104 m lead to (0.9 + 0.096, 0.04), 0.997 m from the start.
+    assert kept == [True, False, False, True]
+
+
 def test_an_observation_of_a_robot_is_kept_if_either_has_moved():
     keyframes = Keyframes(1.0)
     observed = robot_scan('r1', 0, [('r2', (3.0, 1.0))])

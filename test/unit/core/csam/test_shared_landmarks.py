@@ -8,6 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.maps import JointMap, merged
 from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -66,6 +67,13 @@ def test_the_factor_of_stated_noise_is_one_and_that_of_a_bias_above():
             of_team[k] = replace(of_team[k], values=values)
         biased.append(variance_factor(of_team, 3))
     assert np.mean(biased) > 2.0
+
+
+def test_the_limits_of_joining_grow_with_the_factor():
+    rules = JoinRules(variance_factor=4.0)
+
+    assert rules.limit(9) == 4.0 * DEFAULT_RULES.limit(9)
+    assert rules.landmark_limit() == 4.0 * DEFAULT_RULES.landmark_limit()
 
 
 def test_a_single_wrong_map_does_not_change_the_factor():
