@@ -14,9 +14,11 @@ from fej_slam_ros.core.csam import maps
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.join_failure import JoinFailure
-from helpers.csam import in_another_frame, Met, rendezvous_of, true_base_node
+from helpers.core import turn
+from helpers.csam import in_another_frame, Met, R_ROBOT, rendezvous_of, true_base_node
 
 #: Probability with which correct observations are accepted.
 ACCEPTED = 1.0 - 1e-6
@@ -39,6 +41,19 @@ def test_exact_measurements_give_the_true_base_node(met):
     assert_allclose(found.base_node.pose, true_base_node(team, 'r1', 'r2'), atol=1e-7)
     assert found.dof == 2 * len(met) - 3
     assert found.chi_square < 1e-6
+
+
+def test_each_observation_is_one_of_its_own_poses():
+    team, measurements = Met(2, [], noise=0.0), []
+    # The second map has them in the opposite order.
+    for k, (a, b) in enumerate([(3, 8), (6, 5), (9, 2)]):
+        x, y = team.true_poses['r1'][a], team.true_poses['r2'][b]
+        z = turn(x[2]).T @ (y - x)[:2]
+        measurements.append(RendezvousMeasurement('r1', a, 'r2', b, z, R_ROBOT, k))
+
+    found = align(*rendezvous_of(team.maps, measurements))
+
+    assert_allclose(found.base_node.pose, true_base_node(team, 'r1', 'r2'), atol=1e-7)
 
 
 @pytest.mark.parametrize('poses', [[5], [0, 4], [4, 0, 9], [3, 5, 8, 11]])

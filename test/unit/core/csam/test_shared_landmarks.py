@@ -12,6 +12,7 @@ from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.maps import JointMap, merged
 from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from helpers.csam import Met, true_base_node
 
 
@@ -73,7 +74,7 @@ def test_the_limits_of_joining_grow_with_the_factor():
     rules = JoinRules(variance_factor=4.0)
 
     assert rules.limit(9) == 4.0 * DEFAULT_RULES.limit(9)
-    assert rules.landmark_limit() == 4.0 * DEFAULT_RULES.landmark_limit()
+    assert rules.landmark_limit() == 4.0 * OUTLIER_D2
 
 
 def test_a_single_wrong_map_does_not_change_the_factor():
