@@ -13,7 +13,7 @@ from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.csam import team_solution
 from fej_slam_ros.core.csam.outlier_removal import without_outliers
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.core.csam.team_solution import solution_hash, solve, TeamMap
 from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import Odometry, PosePrior, TrueLandmarks, TruePose
@@ -305,6 +305,35 @@ def test_an_unsolved_map_is_kept_and_the_others_are_solved(monkeypatch):
     assert {*smoother.solution.maps[0].trajectories} == {'r1'}
     assert {*smoother.solution.maps[1].trajectories} == {'r2'}
     assert np.array_equal(final_poses(smoother, 'r2'), before)
+
+
+def test_every_part_of_a_solution_changes_the_hash():
+    smoother, _ = smoothed()
+    stamps = {name: [*smoother.trajectories[name].stamps] for name in ('r1', 'r2')}
+    solved, = smoother.solution.maps
+    r2 = solved.trajectories['r2']
+
+    def with_last_bit_changed(array):
+        changed = array.copy()
+        changed.flat[-1] = np.nextafter(changed.flat[-1], np.inf)
+        return changed
+
+    changes = [
+        {}, {'frame': 'r1/map'}, {'points': with_last_bit_changed(solved.points)},
+        {'P': with_last_bit_changed(solved.P)},
+        {'landmarks': ((('', 99),), *solved.landmarks[1:])},
+        *({'trajectories': {**solved.trajectories, 'r2': changed}} for changed in (
+            replace(r2, poses=with_last_bit_changed(r2.poses)),
+            replace(r2, P=with_last_bit_changed(r2.P))))]
+    hashes = {
+        solution_hash(TeamMap((replace(solved, **change),)), stamps, stamps)
+        for change in changes}
+    stamps['r2'][-1] += 1
+    hashes.add(smoother.state_hash())
+    hashes.add(solution_hash(smoother.solution, stamps, stamps))
+
+    # Those of the parts, and that of another stamp.
+    assert len(hashes) == len(changes) + 1
 
 
 def test_the_hash_depends_on_the_solution_only():
