@@ -10,7 +10,7 @@ import pytest
 
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import without_outliers
-from fej_slam_ros.core.geometry import between, compose, transform
+from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.smoothing.least_squares import (
     LandmarkFactors, OdometryFactors, Problem, solve, Values)
 from helpers.csam import Met
@@ -99,8 +99,10 @@ def misread_map(seed):
         OdometryFactors(np.arange(600), np.arange(1, 601), np.array(increments),
                         np.diag(sigma ** 2)),
         LandmarkFactors(np.arange(1, 601), labels, np.array(z), 0.01 * np.eye(2)))
-    first = [int(np.flatnonzero(labels == k)[0]) for k in range(15)]
-    values = Values(np.array(x), np.array([transform(x[k + 1], z[k]) for k in first]))
+    # What misread IDs have made of the map so far.
+    values = Values(
+        np.array(x) + np.vstack([np.zeros(3), rng.normal(0.0, 2.0, (600, 3))]),
+        rng.uniform(-6.0, 6.0, (15, 2)))
     keys = tuple(('', k) for k in range(15))
     return LocalMap('r1', problem, values, keys), set((misread + 1).tolist())
 

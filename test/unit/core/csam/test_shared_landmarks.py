@@ -11,9 +11,10 @@ import pytest
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.maps import JointMap, merged
 from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
+from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
-from helpers.csam import Met, true_base_node
+from helpers.csam import in_another_frame, Met, true_base_node
 
 
 def maps(seed, robots=3, noise=1.0):
@@ -32,6 +33,17 @@ def test_the_alignment_is_that_of_the_joint_minimum():
     assert aligned.dof == joint.dof - p.dof - q.dof
     assert aligned.chi_square == pytest.approx(
         joint.chi_square - p.chi_square - q.chi_square, rel=0.1)
+
+
+def test_the_frame_of_a_map_changes_its_base_node_only():
+    team, (p, q, _) = maps(1)
+    frame = np.array([3.0, -4.0, 2.0])
+    expected = align_by_landmarks(p, q, 3)
+
+    aligned = align_by_landmarks(p, JointMap.of(in_another_frame(team.maps[1], frame)), 3)
+
+    assert aligned.chi_square == pytest.approx(expected.chi_square, rel=1e-6)
+    assert_allclose(compose(aligned.base_node, frame), expected.base_node, atol=1e-6)
 
 
 def test_exact_maps_are_aligned_exactly():
