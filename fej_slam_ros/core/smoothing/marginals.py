@@ -111,11 +111,10 @@ class _ChainEnds:
     """
 
     def __init__(self, a: Indices, b: Indices, first_rows: Indices) -> None:
-        """Find the chains from poses a to b whose first rows in the factor are not negative."""
+        """Find the chains from poses a to b by their first rows in the factor, -1 if fixed."""
         self.P_ab = np.zeros((len(a), 3, 3))
         rows = np.stack([first_rows[a], first_rows[b]])
-        wanted = np.flatnonzero((rows >= 0).all(axis=0))
-        self._chains = wanted[np.argsort(rows[:, wanted].min(axis=0), kind='stable')]
+        self._chains = np.argsort(rows.min(axis=0), kind='stable')
         self._earlier, self._later = np.sort(rows[:, self._chains], axis=0)
         self._is_a_later = rows[0, self._chains] > rows[1, self._chains]
 
