@@ -55,6 +55,19 @@ def test_a_bad_scan_is_rejected_for_its_fault(changes, fault):
     assert error.value.fault is fault
 
 
+@pytest.mark.parametrize(('sec', 'nanosec', 'accepted'), [
+    (2**31 - 61, 999_999_999, True), (2**31 - 60, 0, False), (0, 1_000_000_000, False)])
+def test_a_stamp_is_a_minute_before_the_last_one_that_a_message_can_carry(sec, nanosec, accepted):
+    stamp = replace(GOOD.header.stamp, sec=sec, nanosec=nanosec)
+    message = replace(GOOD, header=replace(GOOD.header, stamp=stamp))
+
+    if accepted:
+        assert laser_scan(message)[0] == sec * 10**9 + nanosec
+    else:
+        with pytest.raises(ScanFaultError, match='bad_stamp'):
+            laser_scan(message)
+
+
 def test_intensities_of_another_number_than_the_ranges_are_none():
     _, scan = laser_scan(replace(GOOD, intensities=np.ones(3, np.float32)))
 

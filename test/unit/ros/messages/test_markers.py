@@ -104,11 +104,13 @@ def test_an_ellipse_has_half_axes_of_three_sigmas(seed):
     assert along == pytest.approx(1.0, rel=1e-12)
 
 
-def test_a_detected_landmark_is_a_disc_of_its_radius_with_an_ellipse():
-    first, disc, ellipse = through_cdr(markers.detection_markers(
-        0, 'base', np.array([[1.0, 2.0]]), np.diag([4e-4, 1e-4])[None], np.array([0.2]))).markers
+def test_a_detected_landmark_is_a_disc_of_its_radius_with_an_ellipse_and_a_name():
+    first, disc, ellipse, name = through_cdr(markers.detection_markers(
+        0, 'base', np.array([[1.0, 2.0]]), np.diag([4e-4, 1e-4])[None], np.array([0.2]),
+        ['post'])).markers
 
     assert first.action == MARKER.DELETEALL
     assert (disc.ns, disc.pose.position.x, disc.scale.x) == ('base detections', 1.0, 0.4)
+    assert (name.type, name.text, name.pose.position.x) == (MARKER.TEXT_VIEW_FACING, 'post', 1.0)
     # Three sigmas to each side.
     assert sorted([ellipse.scale.x, ellipse.scale.y]) == pytest.approx([0.06, 0.12], rel=1e-12)
