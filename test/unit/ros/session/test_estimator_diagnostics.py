@@ -12,6 +12,8 @@ from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.files.run_summary import estimator_summary
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
+from fej_slam_ros.ros.session.input_faults import TopicPublishers
+from fej_slam_ros.ros.session.inputs import ODOMETRY
 from helpers.records import MS, odometry, robot_scan, scan
 from helpers.ros import (
     drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, seen,
@@ -79,6 +81,25 @@ def test_the_reason_is_reported_for_a_robot_that_is_not_in_the_map():
     report = report_of(raw_record(odometry('r1', 0)))
 
     assert report['r2'][:2] == (WARN, 'r2 not joined: it sent no odometry')
+
+
+@pytest.mark.parametrize('observer', ['r1', 'r2', None])
+def test_missing_observations_are_a_fault_of_robots_that_need_them_to_get_into_map(observer):
+    records = [odometry(robot, ms) for ms in range(0, 10_000, 100) for robot in ('r1', 'r2')]
+    if observer:
+        records += [scan(observer, ms, [(1, (5.0, 1.0))]) for ms in range(0, 10_000, 100)]
+    run = EstimatorSession(run_settings(), None)
+    drive(run, [raw_record(record) for record in sorted(records, key=lambda r: r.stamp)])
+    run.diagnostics.publishers = {
+        f'{robot}/{kind}': TopicPublishers(f'/{robot}/{kind}', types)
+        for robot in ('r1', 'r2')
+        for kind, types in (('odom', (ODOMETRY,)), ('landmarks', ()), ('robots', ()))}
+
+    faults = run.diagnostics.input_faults(10_000 * MS)
+
+    # The anchor needs them for step 0, r2, which has no initial pose, in order to join.
+    assert {robot for robot, fault in faults.items() if 'have no publisher' in fault} == (
+        {'r1', 'r2'} - {observer})
 
 
 def test_a_robot_with_too_few_observations_reports_how_many_it_needs():
