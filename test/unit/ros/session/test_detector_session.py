@@ -155,8 +155,10 @@ def test_diagnostics_have_the_counts_of_each_robot():
     session = session_of()
     run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
 
-    _, told = report('detector', session.counts(), 7)
+    counts = [*session.counts(), ('r2', 'no scans', {})]
+    _, told = report('detector', counts, 7)
 
-    status, = told.status
+    status, of_r2 = told.status
     values = {entry.key: entry.value for entry in status.values}
     assert (status.name, status.level, values['landmarks']) == ('detector: r1', 0, '2')
+    assert (of_r2.level, of_r2.message) == (1, 'no scans')

@@ -3,6 +3,7 @@
 """Frames have the names of the parameters, else those of the odometry, with or without prefix."""
 
 from dataclasses import replace
+import json
 
 import numpy as np
 import pytest
@@ -117,6 +118,18 @@ def test_the_base_frame_is_the_child_frame_of_the_odometry_if_unambiguous(childr
     names = named({robot: ('', child) for robot, child in children.items()})
 
     assert [names.base(robot) for robot in ('r1', 'r2')] == expected
+
+
+def test_restored_names_of_frames_are_those_before():
+    before = named({'r1': ('odom', 'base'), 'r2': ('odom_2', 'base_2')})
+    names = named({})
+
+    names.restore(json.loads(json.dumps(before.snapshot())))
+
+    for robot, frame, child in (('r1', 'odom', 'base'), ('r2', 'odom_2', 'base_2')):
+        assert names.odometry(robot) == before.odometry(robot) == frame
+        assert names.knows_base(robot)
+        assert names.is_base(robot, child)
 
 
 def test_robots_with_transforms_of_their_own_may_share_names_of_frames():
