@@ -19,7 +19,7 @@ from fej_slam_ros.core.settings import RobotSettings
 DT, SECONDS, SIGMA = 0.1, 600.0, 0.03
 
 
-def run(scale=(1.0, 1.0), bias=0.0, straight=False, seconds=SECONDS):
+def run(scale=(1.0, 1.0), bias=0.0, straight=False, seconds=SECONDS, slip=2e-3):
     """Return odometry with errors, scans and true poses of a robot, as lists of records."""
     rng = np.random.default_rng(1)
     landmarks = rng.uniform(-60.0, 60.0, (1000, 2))
@@ -31,7 +31,7 @@ def run(scale=(1.0, 1.0), bias=0.0, straight=False, seconds=SECONDS):
         u = np.array([(0.5 + 0.3 * np.sin(0.5 * t)) * DT, 0.0, turn * DT])
         pose = compose(pose, u)
         wrong = np.array([u[0] / scale[0], 0.0, (u[2] + bias * DT) / scale[1]])
-        measured = compose(measured, wrong + rng.normal(0.0, [2e-3, 1e-3, 1e-3]))
+        measured = compose(measured, wrong + rng.normal(0.0, [slip, 1e-3, 1e-3]))
         odometry.append(Odometry('r', stamp, measured, None))
         true.append(TruePose('r', stamp, pose))
         if k % 5:
@@ -67,6 +67,16 @@ def test_errors_are_those_of_the_simulation(fit, scale, bias):
     assert (np.abs(errors.values - [*scale, bias]) < 4.0 * errors.sigma).all()
     assert (errors.sigma < [0.005, 0.005, 0.001]).all()
     assert_array_equal(errors.values != NO_ERRORS, np.array([*scale, bias]) != NO_ERRORS)
+
+
+def test_large_noise_of_odometry_does_not_make_its_scale_too_small():
+    odometry, _, true = run((0.95, 1.0), seconds=3000.0, slip=0.06)
+
+    errors = by_truth(odometry, [], true)
+
+    # The noise of 5 s, 0.4 m, is a sixth of the distance: its square would be 3 % of the scale.
+    assert errors.values[0] == pytest.approx(0.95, abs=3.0 * errors.sigma[0])
+    assert errors.sigma[0] < 0.01
 
 
 @FITS
