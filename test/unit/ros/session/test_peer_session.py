@@ -13,7 +13,7 @@ import pytest
 
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.ordering.record_memory import identity
-from fej_slam_ros.core.peers.messages import read
+from fej_slam_ros.core.peers.messages import Hello, read, write
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
@@ -314,6 +314,24 @@ def test_what_is_exchanged_and_rejected_is_reported(clock):
     values = {value.key: value.value for value in report.status[-1].values}
     assert int(values['exchange_bytes_hello']) > 100
     assert values['exchange_truncated'] == '1'
+
+
+def test_messages_of_a_robot_that_are_rejected_are_a_warning_once(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    exchanged(sessions, clock, 2.0)
+    run, reports = sessions['p'], []
+    # Of a run before the present one.
+    message = peer_session.outgoing.byte_array(write(Hello('q', 0, 1, 0, ())))
+
+    run.receive(RawMessage(EXCHANGE_TOPIC, EXCHANGE_TYPE, None, serialize(message)))
+    for now in (1, 2):
+        _, report = run.diagnostics.report(now, at_rest=False)
+        reports += [status for status in report.status if status.name == 'smoother: q']
+
+    first, second = reports
+    assert first.message.endswith('; in reach; rejected: 1 old_run')
+    assert first.level >= 1
+    assert second.message.endswith('; in reach')
 
 
 def test_only_inputs_of_the_own_robot_are_subscribed_to():
