@@ -190,6 +190,13 @@ def test_waiting_robot_observations_are_kept():
     assert whole.steps['r2'] > 50  # of which 20 are odometry and 20 are scans
 
 
+def test_a_snapshot_of_an_estimator_is_none_of_a_smoother():
+    plain = snapshot(Estimator(team('r1')))
+
+    with pytest.raises(TypeError, match=r'^not a snapshot of TeamSmoother$'):
+        restore(plain, team('r1'), TeamSmoother)
+
+
 def test_a_class_that_is_not_listed_is_refused_when_a_snapshot_is_taken():
     estimator = Estimator(team('r1'))
     estimator.statistics.rejections.append(pairwise('ab'))

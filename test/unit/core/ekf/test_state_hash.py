@@ -119,5 +119,18 @@ def test_every_part_of_a_rendezvous_point_changes_the_hash(changes):
     assert hash_with(**changes) != hash_with()
 
 
+def test_the_hash_does_not_depend_on_the_order_of_rendezvous_points():
+    hashes = set()
+    for stamps in ((5, 6), (6, 5)):
+        state = joint_state()
+        for stamp in stamps:
+            state.augment_rendezvous_point(
+                RendezvousKey('r1', 'r3', stamp), state.robots['r1'], np.array([stamp, 2.0]),
+                np.eye(2, 3), stamp * np.eye(2))
+        hashes.add(state_hash({'map': state}, ROBOTS))
+
+    assert len(hashes) == 1
+
+
 def test_a_team_without_input_has_a_hash():
     assert state_hash({'map': JointState()}, ROBOTS) != hash_of()
