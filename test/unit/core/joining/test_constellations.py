@@ -123,3 +123,15 @@ def test_too_few_landmarks_are_named():
     failure = with_shared_landmarks(*two_maps(random_points(4, 0)))
 
     assert failure.reason == '4 landmarks without ID, needs 5'
+
+
+@pytest.mark.parametrize('shared', [0, 4])
+def test_the_most_landmarks_that_fit_another_map_are_named_if_they_are_too_few(shared):
+    # No two distances to these landmarks are equal.
+    alone = np.column_stack([100.0 * 2.0 ** np.arange(10), np.zeros(10)])
+    ours, theirs = two_maps(random_points(4, 0)[:shared], alone[:5], alone[5:])
+
+    failure = with_shared_landmarks(ours, theirs)
+
+    assert failure.reason == (
+        f'{shared} landmarks without ID are where another map has some, needs 5')
