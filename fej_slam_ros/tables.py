@@ -50,3 +50,12 @@ def _finite_number(name: str, text: str | None) -> float:
     if not math.isfinite(value):
         raise ValueError(f'where {name} is {text!r} and not a finite number')
     return value
+
+
+def integer(cells: Cells, name: str) -> int:
+    """Return the integer in a column; raises ValueError for any other content."""
+    text = cells[name]
+    try:
+        return int(text or '')
+    except ValueError:
+        raise ValueError(f'where {name} is {text!r} and not an integer') from None

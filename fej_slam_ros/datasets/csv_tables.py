@@ -27,7 +27,7 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import divided, ObservationT
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.tables import Cells, finite_numbers
+from fej_slam_ros.tables import Cells, finite_numbers, integer
 
 EVENT_COLUMNS = ('robot', 'stamp_ns')
 POSE = ('x', 'y', 'yaw')
@@ -184,7 +184,7 @@ def _event(cells: Cells) -> Event:
         raise ValueError('robot is empty')
     if 'time' in cells and 'stamp_ns' not in cells:
         return robot, checked_stamp(_from_seconds(cells['time'] or ''))
-    return robot, checked_stamp(int(cells['stamp_ns'] or ''))
+    return robot, checked_stamp(integer(cells, 'stamp_ns'))
 
 
 def _from_seconds(text: str) -> int:
@@ -204,8 +204,8 @@ def _odometry(cells: Cells) -> Odometry:
 def _landmark(cells: Cells) -> tuple[Event, Observation | None]:
     if _is_empty(cells, 'id'):
         return _event(cells), None
-    landmark = checked_landmark_id(int(cells['id'] or NO_ID), NO_ID)
-    return _event(cells), Observation(landmark, *_point(cells))
+    landmark = integer(cells, 'id') if cells['id'] else NO_ID
+    return _event(cells), Observation(checked_landmark_id(landmark, NO_ID), *_point(cells))
 
 
 def _robot(cells: Cells) -> tuple[Event, RobotObservation | None]:
@@ -233,7 +233,7 @@ def _true_pose(cells: Cells) -> TruePose:
 
 def _true_landmark(cells: Cells) -> tuple[int, Array]:
     return (
-        checked_landmark_id(int(cells['id'] or '')), np.array(finite_numbers(cells, POINT[:2])))
+        checked_landmark_id(integer(cells, 'id')), np.array(finite_numbers(cells, POINT[:2])))
 
 
 def _point(cells: Cells) -> tuple[Array, Array]:

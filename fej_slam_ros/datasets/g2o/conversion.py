@@ -69,7 +69,9 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
             raise UserError(f'two poses of {robot} have one stamp: export the bag again')
         increments[robot] = [edges[pair] for pair in pairwise(vertices)]
     if not any(increments.values()):
-        raise UserError('it has no odometry: a relative pose is needed between each two poses')
+        raise UserError(
+            'it has no odometry: relative poses are needed, each from a pose to one with a higher'
+            ' number')
     used = sum(map(len, increments.values()))
     return Trajectories(poses, increments, names, len(graph.increments) - used)
 

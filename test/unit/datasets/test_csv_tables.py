@@ -143,7 +143,8 @@ def test_the_team_has_the_robots_with_odometry():
 @pytest.mark.parametrize(('rows', 'reason'), [
     ('a,1,0,0', 'line 2: where yaw is None and not a finite number'),
     ('a,1,0,x,0', "line 2: where y is 'x' and not a finite number"),
-    ('a,x,0,0,0', 'line 2: invalid literal'), (',1,0,0,0', 'line 2: robot is empty'),
+    ('a,x,0,0,0', "line 2: where stamp_ns is 'x' and not an integer"),
+    (',1,0,0,0', 'line 2: robot is empty'),
     ('a,1,0,0,0\na,1,0,0,nan', "line 3: where yaw is 'nan'")])
 def test_a_damaged_row_is_named(tmp_path, rows, reason):
     folder = write(tmp_path, odometry=f'robot,stamp_ns,x,y,yaw\n{rows}\n')
@@ -157,6 +158,8 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
     ('robot,stamp_ns,x,y,var_x,cov_xy,var_y', 'a,1,0,0,1,0,1', "it lacks the column 'id'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1e999999999,1,0,0,1,0,1', 'time is'),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,2.0,0,0,1,0,1',
+     r"where id is '2\.0' and not an integer"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,-1,1,0,0,1,0,1', 'its time is -1000000000 ns'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', 'its time is 30*0 ns')])

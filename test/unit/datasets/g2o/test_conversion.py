@@ -116,9 +116,12 @@ def test_the_anchor_starts_at_the_estimate_of_its_first_pose():
     assert [robot.start_pose for robot in settings.robots] == [None, None]
 
 
-def test_a_graph_without_odometry_is_an_error():
-    with pytest.raises(UserError, match='it has no odometry'):
-        conversion.trajectories(Graph(observations=[sighting(0, 1)]), PERIOD)
+@pytest.mark.parametrize('graph', [
+    pytest.param(Graph(observations=[sighting(0, 1)]), id='landmarks only'),
+    pytest.param(Graph(increments=[step(2, 1), step(1, 0)]), id='back to lower numbers')])
+def test_a_graph_without_odometry_is_an_error_that_says_what_odometry_is(graph):
+    with pytest.raises(UserError, match=r'no odometry: .* to one with a higher number'):
+        conversion.trajectories(graph, PERIOD)
 
 
 def test_a_missing_increment_of_a_named_robot_is_an_error():
