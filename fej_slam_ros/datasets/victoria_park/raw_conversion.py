@@ -34,6 +34,10 @@ LASER: Array = np.array([3.78, 0.50, 0.0])
 DRIFT_SIGMA: Array = np.array([0.01, 0.01, 0.001])
 SLIP_SIGMA: Array = np.array([0.025, 0.03, 0.005])
 TURN_SIGMA: Array = np.array([0.0, 0.0, 0.1])
+#: In a gap of t seconds, longer than MAX_WHEEL_HOLD [s], speed and steering change: the variances
+#: grow by (GAP_SIGMA t^2)^2 [m/s^2, m/s^2, rad/s^2], measured with rows left out of the log.
+MAX_WHEEL_HOLD = 0.2
+GAP_SIGMA: Array = np.array([0.16, 0.16, 0.03])
 #: Standard deviations of a detection [m, rad].
 SIGMA_RANGE = 0.09
 SIGMA_BEARING = 0.0035
@@ -81,7 +85,8 @@ def twist_covariances(wheels: Wheels) -> Array:
     dt, d, theta = _arcs(wheels)
     variances = (
         np.outer(dt, DRIFT_SIGMA**2) + np.outer(np.abs(d), SLIP_SIGMA**2)
-        + np.outer(np.abs(theta), TURN_SIGMA**2))
+        + np.outer(np.abs(theta), TURN_SIGMA**2)
+        + np.outer(np.where(dt > MAX_WHEEL_HOLD, dt, 0.0)**4, GAP_SIGMA**2))
     covariances: Array = (variances / dt[:, None] ** 2)[:, :, None] * np.eye(3)
     return covariances
 

@@ -74,6 +74,19 @@ def test_two_halves_of_an_interval_are_as_uncertain_as_the_whole():
     np.testing.assert_allclose(halves.sum(axis=0), whole, rtol=1e-12)
 
 
+@pytest.mark.parametrize('seconds', [1.0, 3.0, 10.0])
+def test_a_car_that_brakes_in_a_gap_of_the_wheels_is_where_its_covariance_says(seconds):
+    v, deceleration = 6.0, 0.5
+    braking = min(seconds, v / deceleration)
+    driven = v * braking - deceleration * braking**2 / 2.0
+
+    gap = wheels([v, v - deceleration * braking], [0.0, 0.0], seconds)
+
+    sigma = math.sqrt(twist_covariances(gap)[0, 0, 0]) * seconds
+    # It brakes harder than the car usually does.
+    assert abs(dead_reckoning(gap)[-1, 0] - driven) < 2.0 * sigma
+
+
 def test_every_measurement_is_a_record_at_its_stamp(raw_park):
     found = list(records(drives(read(raw_park()), 1)))
 
