@@ -34,21 +34,40 @@ def outlying_landmarks(
     """
     Return the shared landmarks that contradict the others; none if these are too many.
 
-    The others must fit with the given upper tail probability of chi-square.
+    They are found by consensus of the landmarks, or are of those that either frame observed only
+    once, whose IDs may be misread. The others must fit with the given upper tail probability of
+    chi-square.
 
     """
     ours, theirs = ([v for v in variables if isinstance(v, Landmark)]
                     for variables in shared_variables(team, group))
     points = (state.estimates_of(position_indices(landmarks))
               for state, landmarks in ((team, ours), (group, theirs)))
-    farthest = farthest_points(*points)
-    candidates = frozenset(ours[k].key for k in farthest)
+    farthest = [ours[k].key for k in farthest_points(*points)]
+    return _contradicting(team, group, farthest, tail) or _contradicting(
+        team, group, _observed_once(team, group), tail)
+
+
+def _observed_once(team: JointState, group: JointState) -> list[LandmarkKey]:
+    """Return the landmarks that either frame observed once, if enough others are shared."""
+    ours, theirs = shared_variables(team, group)
+    once = [
+        our.key for our, their in zip(ours, theirs)
+        if isinstance(our, Landmark) and isinstance(their, Landmark)
+        and not (our.is_reobserved and their.is_reobserved)]
+    return once if len(ours) - len(once) >= MIN_SHARED else []
+
+
+def _contradicting(
+    team: JointState, group: JointState, keys: Sequence[LandmarkKey], tail: float
+) -> tuple[LandmarkKey, ...]:
+    """Return which of some landmarks contradict the others; none if these do not fit."""
+    candidates = frozenset(keys)
     if not candidates or not determine_heading(team, group, candidates):
         return ()
     found = fit(team, group, candidates)
     if found.chi2 > chdtri(found.dof, tail):
         return ()
-    keys = [ours[k].key for k in farthest]
     return tuple(
         key for key, d2 in zip(keys, _increases_of_chi2(found, team, group, keys))
         if d2 > OUTLIER_D2)

@@ -323,15 +323,20 @@ def reobserve(states, number):
         state.landmarks['', number].is_reobserved = True
 
 
-def test_a_landmark_that_was_observed_once_does_not_determine_the_heading_alone():
-    team, group, g = two_maps(shared=1)
-    # The robots met twice at one place.
-    for stamp, place in enumerate(([2.0, 1.0], [2.1, 1.1])):
+def meet(team, group, g, places):
+    """Add an observation between the robots at each place (2,) in the frame of the team."""
+    for stamp, place in enumerate(places):
         key = RendezvousKey('r1', 'r2', stamp)
         of_group = turn(g[2]).T @ (place - g[:2])
         for state, name, point in ((team, 'r1', np.array(place)), (group, 'r2', of_group)):
             state.augment_rendezvous_point(
                 key, state.robots[name], point, np.zeros((2, 3)), 0.01 * np.eye(2))
+
+
+def test_a_landmark_that_was_observed_once_does_not_determine_the_heading_alone():
+    team, group, g = two_maps(shared=1)
+    # The robots met twice at one place.
+    meet(team, group, g, ([2.0, 1.0], [2.1, 1.1]))
     filters = [Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)]
 
     told = MapJoiner(3, 0.999).join(*filters)
@@ -339,6 +344,25 @@ def test_a_landmark_that_was_observed_once_does_not_determine_the_heading_alone(
     assert told == JoinFailure('landmark 0, which was observed once, determines the heading alone')
     reobserve((team, group), 0)
     assert MapJoiner(3, 0.999).join(*filters) is None
+
+
+def test_misread_landmarks_are_left_out_where_robots_observed_each_other_often_enough():
+    team, group, g = two_maps(shared=2)
+    meet(team, group, g, ([2.0, 1.0], [5.0, 1.0], [5.0, 4.0]))
+    for number in range(2):
+        group.x_hat[group.landmarks['', number].slot.indices] += [3.0, 4.0]
+    reobserve((team,), 0)
+    joiner = MapJoiner(3, 0.999)
+    filters = [Filter(state, FirstEstimates(), Gate(1.0)) for state in (team, group)]
+
+    told = joiner.join(*filters)
+
+    # The observations of robots, which agree, stay: nothing else can tell which landmark is wrong.
+    assert set(told.outlying_landmarks) == {('', 0), ('', 1)}
+    for key in told.outlying_landmarks:
+        for state in (team, group):
+            state.remove(state.landmarks[key])
+    assert joiner.join(*filters) is None
 
 
 @pytest.mark.parametrize('confirmed_in', [[], [0], [1]])
