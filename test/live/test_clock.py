@@ -10,7 +10,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
-from helpers.ros import raw, run_verb, summary_of, write_parameters
+from helpers.ros import odometry_message, raw, run_verb, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 
@@ -68,6 +68,25 @@ def test_with_simulated_time_no_clock_offset_is_reported(domain, tmp_path, repla
     assert not any('clock of reception' in message for message, _ in statuses)
     # The clock ticks every 25 ms, 0.15 s of simulated time, so messages can be ahead of it.
     assert all(abs(float(values['delay_s'])) < 1.0 for _, values in statuses)
+
+
+def test_nothing_that_arrives_during_a_stall_is_ahead_of_simulated_time(domain, tmp_path):
+    """The node works only while the test waits: for 10 s of simulated time it takes no message."""
+    folder = tmp_path / 'live'
+    node = domain.estimate(robots=['r1'], use_sim_time=True, output=str(folder))
+    odometry = [raw('r1/odom', odometry_message(ms=ms)) for ms in range(1000, 11_001, 100)]
+    domain.send(raw('/clock', outgoing.clock(10**9)), *odometry[:1])
+    domain.until(lambda: node.received == 1)
+
+    for message, ms in zip(odometry[1:], range(1100, 11_001, 100), strict=True):
+        # The executor is to meet an odometry message before the clock.
+        domain.send(message, raw('/clock', outgoing.clock(ms * 10**6)))
+    domain.until(lambda: node.received == len(odometry))
+    domain.end_estimate()
+
+    counts = summary_of(folder)['counts']
+    assert counts['future'] == 0
+    assert counts['used'] == len(odometry)
 
 
 def test_a_bag_played_again_is_rejected(domain, tmp_path, replayed):

@@ -63,10 +63,10 @@ def message_class(type_name: str) -> Any:
     return getattr(import_module(f'{package}.{kind}'), name)
 
 
-def taken_message(subscription: Subscription) -> tuple[bytes, Any] | None:
-    """Return the next message of a raw subscription without the executor, and its information."""
+def taken_message(subscription: Subscription) -> tuple[Any, Any] | None:
+    """Return the next message of a subscription without the executor, and its information."""
     with subscription.handle:
-        taken: tuple[bytes, Any] | None = subscription.handle.take_message(
+        taken: tuple[Any, Any] | None = subscription.handle.take_message(
             subscription.msg_type, subscription.raw)
     return taken
 

@@ -23,6 +23,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.nodes.endpoints import taken_message
 from fej_slam_ros.ros.nodes.ros_process import first_line
 from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, Value
 from fej_slam_ros.ros.parameters.values import MAX_WARNINGS, shortened
@@ -47,6 +48,18 @@ class CheckedClockNode(Node):
         of_clock = msg_type is ClockMessage
         return super().create_subscription(
             msg_type, topic, receive if of_clock else callback, *args, **kwargs)
+
+    def take_clock(self) -> None:
+        """
+        Set simulated time to its newest message, without the executor.
+
+        Input that is received without the executor would be ahead of the time before a stall.
+
+        """
+        if self.get_clock().ros_time_is_active:
+            clock = next(s for s in self.subscriptions if s.msg_type is ClockMessage)
+            if (taken := taken_message(clock)) is not None:
+                clock.callback(taken[0])
 
     def create_steady_timer(self, period: float, callback: Callable[[], None]) -> Timer:
         """Create a timer of a period [s] that does not wait for simulated time."""

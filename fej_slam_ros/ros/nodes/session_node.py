@@ -360,6 +360,7 @@ class SessionNode(SettingsNode):
 
     def _now(self) -> int | None:
         """Return ROS time [ns], None while simulated time has not begun."""
+        self.take_clock()
         return self.get_clock().now().nanoseconds or None
 
 
