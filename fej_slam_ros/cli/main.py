@@ -91,6 +91,7 @@ def _summary(verb: str) -> str:
 
 def _run(command: str, verb: str, words: list[str]) -> int:
     """Run a verb, which was called by a command."""
+    _open_closed_streams()
     # A shell ignores SIGINT in the commands that it runs in the background.
     heeded = [n for n in INTERRUPTS if signal.getsignal(n) is not signal.SIG_IGN]
     try:
@@ -108,6 +109,13 @@ def _run(command: str, verb: str, words: list[str]) -> int:
         sentence, status = _explained(error)
         print(f'{command}: {sentence}', file=sys.stderr)
         return status
+
+
+def _open_closed_streams() -> None:
+    """Discard what is written to standard streams that the caller has closed, as by ``>&-``."""
+    for name in 'stdout', 'stderr':
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_WRONLY), 'w'))
 
 
 def _explained(error: UserError | OSError | ModuleNotFoundError) -> tuple[str, int]:

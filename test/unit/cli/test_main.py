@@ -158,6 +158,17 @@ def test_a_path_that_no_file_can_have_is_one_sentence(capsys, verb):
     assert_one_sentence((status, *capsys.readouterr()), 2, 'n has a name that is too long')
 
 
+@pytest.mark.parametrize('closed', ['>&-', '2>&-', '>&- 2>&-'])
+def test_a_closed_output_changes_neither_the_work_nor_the_status(tmp_path, closed):
+    """As of other commands: a script may close what it does not read."""
+    words = f'"$0" -m fej_slam_ros simulate --output "$1" {closed}'
+    shell = subprocess.run(
+        ['sh', '-c', words, sys.executable, tmp_path / 'bag'], capture_output=True, check=False)
+
+    assert (shell.returncode, shell.stderr) == (0, b'')
+    assert (tmp_path / 'bag' / 'metadata.yaml').exists()
+
+
 def test_a_defect_keeps_its_traceback(run):
     with pytest.raises(ZeroDivisionError):
         run(['replay'], lambda _arguments: 1 // 0)
