@@ -88,6 +88,7 @@ def test_a_node_rejects_unknown_ros_arguments(capfd, verb, words, part):
     ('-r', '__ns:=/1st', '-r __ns:=/NAME'),
     ('-r', 'r1/odom', '-r OLD:=NEW'),
     ('-p', 'robots:=[r1', '-p NAME:=VALUE'),
+    ('-p', 'anchor_pose:=[1, 2.5, 0]', 'no list mixes integers and floats'),
 ])
 def test_a_rule_that_ros_refuses_is_rejected_with_its_form(capfd, option, rule, form):
     assert run_verb('estimator', '--ros-args', option, rule) == 2

@@ -31,7 +31,8 @@ MAX_FINAL_TIME = 0.8
 RULE = re.compile(r"Couldn't parse (remap|parameter override) rule: '(.*)'\. Error: ")
 RULE_FORMS = {
     'remap': '-r OLD:=NEW, -r __node:=NAME or -r __ns:=/NAME',
-    'parameter override': '-p NAME:=VALUE with a value in YAML'}
+    'parameter override': (
+        '-p NAME:=VALUE with a value in YAML, in which no list mixes integers and floats')}
 
 
 class Stop:
