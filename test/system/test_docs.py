@@ -344,6 +344,13 @@ def test_the_bandwidth_in_scale_is_that_of_the_generated_page():
     assert re.search(r'sends ([\d.]+ kB/s), or', topics)[1] in scale
 
 
+def test_reserved_names_are_among_the_limits():
+    limits = (ROOT / 'docs' / 'limits.md').read_text(encoding='utf-8')
+
+    assert all(f'`{name}`' in limits.partition('No robot can')[2]
+               for name in parameters.RESERVED_NAMES)
+
+
 @pytest.mark.parametrize('text', [b.text for b in BLOCKS if b.language == 'yaml'], ids=len)
 def test_parameters_on_a_page_are_accepted(text, tmp_path):
     (tmp_path / 'given.yaml').write_text(text, encoding='utf-8')
