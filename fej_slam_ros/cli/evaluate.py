@@ -19,7 +19,7 @@ Output: evaluation.json; for evo <robot>.tum and <robot>_truth.tum, the compared
 """
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -111,6 +111,7 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
         if count:
             report[name] = count
             print(f'{count} invalid {what} in {source} are left out')
+    refuse_existing(_files(output, evaluation.matched, arguments.plots), arguments.force)
     for name, matched in evaluation.matched.items():
         _write_robot(output, name, matched, evaluation.nees.get(name))
     if arguments.plots:
@@ -122,6 +123,20 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     write_json(output / 'evaluation.json', report)
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
+
+
+def _files(output: Path, robots: Iterable[str], plots: bool) -> Iterator[Path]:
+    """Yield the files of robots, and figures if there are any."""
+    for name in robots:
+        yield from _robot_files(output, name)
+    if plots:
+        yield from (output / name for name in ('ways.png', 'errors.png', 'nees.png'))
+
+
+def _robot_files(output: Path, name: str) -> tuple[Path, Path, Path]:
+    """Return the files of poses, true poses and covariances."""
+    return (
+        output / f'{name}.tum', output / f'{name}_truth.tum', output / f'{name}_covariance.csv')
 
 
 def _sources(arguments: argparse.Namespace) -> Sources:
@@ -152,11 +167,12 @@ def _sources(arguments: argparse.Namespace) -> Sources:
 
 def _write_robot(output: Path, name: str, matched: MatchedPoses, nees: Array | None) -> None:
     stamps = matched.stamps.tolist()
-    for file, poses in ((f'{name}.tum', matched.poses), (f'{name}_truth.tum', matched.true)):
+    estimated, true, covariances = _robot_files(output, name)
+    for file, poses in ((estimated, matched.poses), (true, matched.true)):
         lines = (tum_line(stamp, pose) for stamp, pose in zip(stamps, poses))
-        write_text(output / file, '\n'.join(lines) + '\n')
+        write_text(file, '\n'.join(lines) + '\n')
     values = [np.nan] * len(stamps) if nees is None else nees.tolist()
-    write_csv(output / f'{name}_covariance.csv', [COVARIANCE_HEADER, *(
+    write_csv(covariances, [COVARIANCE_HEADER, *(
         (stamp, *P[np.triu_indices(3)].tolist(), value if np.isfinite(value) else '')
         for stamp, P, value in zip(stamps, matched.P, values))])
 

@@ -9,7 +9,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from fej_slam_ros.atomic_files import write_figure
+from fej_slam_ros.atomic_files import refuse_existing, write_figure
 from fej_slam_ros.cli.arguments import (
     add_bag_and_parameters, output_folder, require_matplotlib)
 from fej_slam_ros.cli.bag_input import team_messages
@@ -128,6 +128,7 @@ def process(
                 used.append(next(folders))
                 session = begin(settings, used[-1], arguments.force)
                 stack.callback(session.discard_files)
+            refuse_existing([used[-1] / PICTURE], arguments.force)
             session.diagnostics.node_name = names.published(node)
             session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
             return session

@@ -291,6 +291,25 @@ def test_results_are_not_overwritten_without_force(replayed, evaluate):
     assert '--force' in printed.err
 
 
+@pytest.mark.parametrize('name', [
+    'r2.tum', 'r1_truth.tum', 'r1_covariance.csv', 'ways.png', 'errors.png', 'nees.png'])
+def test_no_file_of_another_run_is_overwritten_without_force(replayed, evaluate, tmp_path, name):
+    """The output may be the folder of a run, which has ``<robot>.tum`` too."""
+    if name.endswith('.png'):
+        pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    other = tmp_path / 'evaluation' / name
+    other.parent.mkdir()
+    other.write_text('of another run')
+
+    plots = [] if name.endswith('.png') else ['--no-plots']
+    status, report, printed = evaluate(replayed / 'two_circles', *plots)
+
+    assert (status, report) == (2, None)
+    assert f'{name} exists' in printed.err
+    assert [*other.parent.iterdir()] == [other]
+    assert other.read_text() == 'of another run'
+
+
 @pytest.mark.parametrize('length', ['0', '-1', 'far', 'inf'])
 def test_a_bad_length_is_a_usage_error(replayed, evaluate, length):
     assert evaluate(replayed / 'two_circles', '--delta', length)[0] == 2

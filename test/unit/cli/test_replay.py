@@ -296,6 +296,18 @@ def test_an_output_bag_is_not_overwritten_without_force(replay, places):
     assert_one_sentence(replay(MEETING, '--bag'), 2, f'{places[2] / "bag"} exists', '--force')
 
 
+@pytest.mark.parametrize('options', [[], ['--picture']])
+def test_a_picture_is_neither_overwritten_nor_deleted_without_force(replay, places, options):
+    if options:
+        pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    picture = places[2] / 'scene.png'
+    places[2].mkdir()
+    picture.write_text('of an earlier run')
+
+    assert_one_sentence(replay(MEETING, *options), 2, f'{picture} exists', '--force')
+    assert contents(places[2]) == {'scene.png': b'of an earlier run'}
+
+
 def test_an_unwritable_output_is_reported(replay, places):
     places[2].write_text('')
 
