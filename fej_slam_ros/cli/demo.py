@@ -49,6 +49,10 @@ class Sensor:
 BEHIND_A_NODE = {'anchor': 'r1', 'max_delay': 1.0}
 #: Robots of the simulator.
 ROBOTS = ('r1', 'r2')
+#: Output: of the estimator, and the picture.
+FILES = (
+    PICTURE, 'summary.json', 'landmarks.csv', *(f'{robot}.tum' for robot in ROBOTS),
+    *(f'trajectory_{robot}.csv' for robot in ROBOTS))
 SENSORS = {
     'landmarks': Sensor(
         {'environment': 'circles', 'speed': 8.0, 'clock': True}, {'estimator': {}},
@@ -83,7 +87,7 @@ def run(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output or Path(f'demo{name}_output')
     require_matplotlib()
     with OutputLock.of_folder(output):
-        refuse_existing([output / PICTURE, output / 'summary.json'], arguments.force)
+        refuse_existing([output / file for file in FILES], arguments.force)
         _run(SENSORS[arguments.sensor], output)
     return 0
 

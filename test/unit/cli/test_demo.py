@@ -4,6 +4,8 @@
 
 import sys
 
+import pytest
+
 from helpers.ros import assert_one_sentence, run_verb
 
 
@@ -13,3 +15,15 @@ def test_missing_matplotlib_is_reported_before_the_run(tmp_path, monkeypatch, ca
     status = run_verb('demo', '--output', tmp_path / 'demo')
 
     assert_one_sentence((status, *capsys.readouterr()), 1, 'matplotlib is missing', '.[plot]')
+
+
+@pytest.mark.parametrize('name', [
+    'scene.png', 'summary.json', 'landmarks.csv', 'r1.tum', 'r2.tum', 'trajectory_r1.csv',
+    'trajectory_r2.csv'])
+def test_no_file_of_another_run_is_overwritten_without_force(tmp_path, capsys, name):
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    (tmp_path / name).write_text('of another run')
+
+    status = run_verb('demo', '--output', tmp_path)
+
+    assert_one_sentence((status, *capsys.readouterr()), 2, f'{name} exists', '--force')
