@@ -4,13 +4,13 @@
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 from rcl_interfaces.msg import (
     FloatingPointRange, IntegerRange, Parameter as ParameterMessage, ParameterDescriptor,
     SetParametersResult)
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
-from rclpy.clock import Clock
+from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
@@ -56,7 +56,7 @@ class CheckedClockNode(Node):
         Input that is received without the executor would be ahead of the time before a stall.
 
         """
-        if self.get_clock().ros_time_is_active:
+        if cast(ROSClock, self.get_clock()).ros_time_is_active:
             clock = next(s for s in self.subscriptions if s.msg_type is ClockMessage)
             if (taken := taken_message(clock)) is not None:
                 clock.callback(taken[0])
