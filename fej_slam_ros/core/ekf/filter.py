@@ -160,19 +160,19 @@ class Filter:
         gated = self.gate.apply(observations, r, update.own())   # 4. gate each by S_ii
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
-        x_prior, r, results = state.x_hat, r.ravel(), []
+        x_prior, r, corrections = state.x_hat, r.ravel(), []
         for _ in range(self._iterations - 1):                    # Gauss-Newton: 1. to 5. again
-            results.append(update.correction(r))
-            if results[-1].used < len(observations):
+            corrections.append(update.correction(r))
+            if len(corrections[-1].y) < len(r):
                 state.x_hat = x_prior
                 return NO_INNOVATION._replace(interrupted=observations)
-            update, r = self._relinearized(stack, x_prior, results[-1].dx)
-        results.append(update.apply(r))                          # 5. K r, 6. P <- P - K S K^T
-        self._correct(x_prior, results[-1].dx)                   # 7. x <- x + K r
-        used = results[-1].used
+            update, r = self._relinearized(stack, x_prior, corrections[-1].dx)
+        corrections.append(update.apply(r))                      # 5. K r, 6. P <- P - K S K^T
+        self._correct(x_prior, corrections[-1].dx)               # 7. x <- x + K r
+        used = len(corrections[-1].y) // 2
         self._note_used(observations[:used])
         return Innovation(
-            observations[:used], results[0].y[:2 * used], log_det=results[0].log_det,
+            observations[:used], corrections[0].y[:2 * used], log_det=corrections[0].log_det,
             interrupted=observations[used:])
 
     def _note_used(self, observations: Sequence[Association]) -> None:

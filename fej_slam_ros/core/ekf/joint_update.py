@@ -30,12 +30,11 @@ MAX_BLOCK_OBSERVATIONS = 64
 MIN_BLOCK_OBSERVATIONS = 16
 
 
-class UpdateResult(NamedTuple):
-    """Result of an update."""
+class CorrectionInBlocks(NamedTuple):
+    """The correction by the blocks of an update, all unless it ended early."""
 
-    used: int  #: number of observations used, all unless the update ended early
     dx: Array  #: (n,) array, the correction K r
-    y: Array  #: (2 used,) array, the whitened innovation L^-1 r
+    y: Array  #: (2 m,) array, the whitened innovation L^-1 r of the m observations used
     log_det: float  #: log det S
 
 
@@ -50,19 +49,15 @@ class UpdateAtOnce:
         """Return the diagonal blocks (m, 2, 2) of S."""
         return self._prior.own
 
-    def correction(self, r: Array) -> UpdateResult:
+    def correction(self, r: Array) -> Correction:
         """Return the correction by residuals r (2 m,); the covariance stays as it is."""
-        return self._result(self._covariance.correction(self._prior, r))
+        return self._covariance.correction(self._prior, r)
 
-    def apply(self, r: Array) -> UpdateResult:
+    def apply(self, r: Array) -> Correction:
         """Return the correction, and update the covariance."""
         correction = self._covariance.correction(self._prior, r)
         self._covariance.condition(correction)
-        return self._result(correction)
-
-    def _result(self, correction: Correction) -> UpdateResult:
-        return UpdateResult(
-            len(self._prior.own), correction.dx, correction.y, correction.log_det)
+        return correction
 
 
 class UpdateInBlocks:
@@ -77,15 +72,15 @@ class UpdateInBlocks:
         S: Array = H @ P @ H.transpose(0, 2, 1) + self._R
         return S
 
-    def correction(self, r: Array) -> UpdateResult:
+    def correction(self, r: Array) -> CorrectionInBlocks:
         """Return the correction by residuals r (2 m,); the covariance stays as it is."""
         return self._applied(copy(self._covariance), r)
 
-    def apply(self, r: Array) -> UpdateResult:
+    def apply(self, r: Array) -> CorrectionInBlocks:
         """Return the correction, and update the covariance."""
         return self._applied(self._covariance, r)
 
-    def _applied(self, covariance: JointCovariance, r: Array) -> UpdateResult:
+    def _applied(self, covariance: JointCovariance, r: Array) -> CorrectionInBlocks:
         count, size = len(self._R), block_size(covariance)
         dx, y, log_det, done = np.zeros(covariance.dimension), [], 0.0, 0
         for _ in range(math.ceil(count / size)):
@@ -101,7 +96,7 @@ class UpdateInBlocks:
             y.append(correction.y)
             log_det += correction.log_det
             done = block.stop
-        return UpdateResult(done, dx, np.concatenate([np.empty(0), *y]), log_det)
+        return CorrectionInBlocks(dx, np.concatenate([np.empty(0), *y]), log_det)
 
 
 #: Both have the same methods.
@@ -110,8 +105,10 @@ JointUpdate = UpdateAtOnce | UpdateInBlocks
 
 def joint_update(covariance: JointCovariance, H: SparseRows, R: Array) -> JointUpdate:
     """Return the update of a covariance by m observations of noise R (m, 2, 2)."""
-    most = max(MIN_BLOCK_OBSERVATIONS, min(MAX_JOINT_OBSERVATIONS, _affordable(covariance)))
-    return (UpdateAtOnce if len(R) <= most else UpdateInBlocks)(covariance, H, R)
+    if len(R) <= MIN_BLOCK_OBSERVATIONS or (
+            len(R) <= min(MAX_JOINT_OBSERVATIONS, _affordable(covariance))):
+        return UpdateAtOnce(covariance, H, R)
+    return UpdateInBlocks(covariance, H, R)
 
 
 def block_size(covariance: JointCovariance) -> int:
