@@ -30,14 +30,15 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
     team = [robot.name for robot in settings.robots]
     names.check_new(expected_topics(team))
     topics = bags.topics(bag, names)
-    absent = [f'{robot}/odom' for robot in team if f'{robot}/odom' not in topics]
+    with_messages = {name for name, topic in topics.items() if topic.messages}
+    absent = [f'{robot}/odom' for robot in team if f'{robot}/odom' not in with_messages]
     if absent:
         recorded = RecordedRobots(bag, names, team)
         found = f'it has {recorded.found()}: {recorded.cure()}'
         others = ', '.join(name for name in robots_in(topics) if name not in team)
         if len(absent) == len(team):
             raise UserError(
-                f'{bag} has none of the topics {", ".join(absent)}, {found}'
+                f'{bag} has messages on none of the topics {", ".join(absent)}, {found}'
                 + (f', or name its robots ({others}) in the parameter robots' if others else ''))
         logging.getLogger(__name__).warning('%s has no %s, %s', bag, ', '.join(absent), found)
     for robot in team:

@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, Writer
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.rejections import RejectionReason
@@ -16,8 +16,8 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session import simulation
 from helpers.records import team
 from helpers.ros import (
-    assert_one_sentence, cloud, decoded, meeting, odometry_message, raw, raw_record, run_verb,
-    seen, summary_of, TYPES, write_bag, write_parameters)
+    assert_one_sentence, cloud, decoded, meeting, ODOMETRY, odometry_message, raw, raw_record,
+    run_verb, seen, summary_of, TYPES, write_bag, write_parameters)
 
 #: Two robots, a step every 50 ms.
 SIMULATED = [raw_record(record) for record in simulation.parse(
@@ -233,7 +233,7 @@ def test_a_bag_of_other_robots_is_reported(replay, places):
     stranger = [raw('r9/odom', odometry_message(), 0), raw('tf', seen(), 0)]
 
     assert_one_sentence(
-        replay(stranger), 1, f'{places[0]} has none of the topics r1/odom, r2/odom',
+        replay(stranger), 1, f'{places[0]} has messages on none of the topics r1/odom, r2/odom',
         'it has nav_msgs/msg/Odometry on /r9/odom (1) and sensor_msgs/msg/PointCloud2 on /tf (1)',
         '--remap /r9/odom:=/r1/odom', 'name its robots (r9) in the parameter robots')
 
@@ -241,6 +241,15 @@ def test_a_bag_of_other_robots_is_reported(replay, places):
 def test_an_empty_bag_is_reported(replay):
     assert_one_sentence(
         replay([]), 1, 'none of the topics r1/odom, r2/odom, it has no topics: record')
+
+
+def test_topics_without_messages_are_as_missing_topics(replay, places):
+    with Writer(places[0], version=9) as bag:
+        for robot in 'r1', 'r2':
+            bag.add_connection(f'/{robot}/odom', ODOMETRY, typestore=TYPES)
+
+    assert_one_sentence(
+        replay(None), 1, 'none of the topics r1/odom, r2/odom', 'record nav_msgs/msg/Odometry on')
 
 
 def test_a_missing_bag_is_reported(replay, places):
