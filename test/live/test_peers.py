@@ -5,6 +5,7 @@
 import json
 import os
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -126,6 +127,8 @@ def test_a_smoother_that_is_killed_and_restarted_ends_with_the_central_result(do
     for smoother in (other, second):
         status, errors = domain.finish(smoother, signal.SIGINT)
         assert status == 0, errors
+    # It takes long after hours.
+    assert re.search(rf'processing [0-9.]+ MB of measurements in {path}', errors)
 
     of_p = poses(tmp_path / 'p')['p']
     assert of_p[0, 0] == expected['p'][0, 0]

@@ -78,7 +78,11 @@ class NodeFiles:
     ) -> AbstractContextManager[LiveExchangeFile]:
         """Open the file of the exchange of a robot, or let a run after a reset go on with it."""
         if self._exchange is None:
-            self._exchange = LiveExchangeFile(ExchangeFile(path, robot))
+            file = ExchangeFile(path, robot)
+            if file.blocks:
+                size = sum(len(block.content) for block in file.blocks)
+                self._log.info(f'processing {size / 1e6:.1f} MB of measurements in {path}')
+            self._exchange = LiveExchangeFile(file)
         return nullcontext(self._exchange)
 
     @property
