@@ -104,7 +104,9 @@ def _best_hypothesis(ours: _Map, theirs: _Map) -> _Hypothesis | JoinFailure:
     cliques = [*islice(find_cliques(Graph(pairs.tolist())), MAX_CLIQUES)] if (
         len(pairs) <= MAX_CONSISTENT_PAIRS) else []
     if len(pairs) > MAX_CONSISTENT_PAIRS or len(cliques) == MAX_CLIQUES:
-        return JoinFailure('its landmarks without ID are too much alike: symmetric or repeated')
+        return JoinFailure(
+            'too many distances between landmarks without ID agree with those of another map: they'
+            ' are symmetric or repeated, or uncertain for how close together they are')
     found = sorted(
         _hypotheses(ours, theirs, cliques), key=lambda hypothesis: -len(hypothesis.ours))
     if not found or len(found[0].ours) < MIN_MATCHES:
