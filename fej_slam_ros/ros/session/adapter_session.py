@@ -27,8 +27,8 @@ from fej_slam_ros.ros.session.outputs import (
     DIAGNOSTICS_TOPIC, IsWanted, MARKERS_TOPIC, Publication, TYPES)
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
-#: Maximum number of objects in a message.
-MAX_MESSAGE_OBJECTS = 2_000
+#: Maximum number of objects in a message, and of its bytes, beyond which it is not decoded.
+MAX_MESSAGE_OBJECTS, MAX_MESSAGE_SIZE = 2_000, 4_000_000
 #: Name in reports of what is on topics of the team and of an unknown robot.
 UNKNOWN_ROBOT = 'unknown robot'
 
@@ -153,6 +153,9 @@ class AdapterSession:
 
     def _receive_objects(self, name: str, topic: str, arrived: RawMessage) -> None:
         object_format, is_used = self._formats[topic]
+        if len(arrived.raw) > MAX_MESSAGE_SIZE:
+            self._reject(name, RejectionReason.TOO_LARGE)
+            return
         message = decoded_as(arrived, object_format.type_name)
         if message is None:
             self._reject(name, RejectionReason.BAD_MESSAGE)

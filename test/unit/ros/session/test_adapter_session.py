@@ -354,6 +354,15 @@ def test_what_cannot_be_used_is_counted_by_reason(name, message, count):
     assert next(session.counts())[2][f'rejected_{count}'] == 1
 
 
+def test_a_message_of_many_bytes_is_rejected_before_it_is_decoded():
+    session, message = session_of(), foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': SEEN})
+
+    found = run(session, ODOMETRY, replace(message, raw=message.raw + bytes(4_000_000)))
+
+    assert not clouds(found)
+    assert next(session.counts())[2]['rejected_too_large'] == 1
+
+
 def test_a_bad_stamp_is_rejected():
     session, message = session_of(), foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': SEEN})
     bad = bytearray(message.raw)
