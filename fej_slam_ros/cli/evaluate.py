@@ -45,6 +45,8 @@ from fej_slam_ros.tables import interval, text_table
 RPE_LENGTHS = (1.0, 10.0)
 COVARIANCE_HEADER = (
     'stamp_ns', 'cov_xx', 'cov_xy', 'cov_xyaw', 'cov_yy', 'cov_yyaw', 'cov_yawyaw', 'nees')
+#: Figures of trajectories, errors and NEES.
+FIGURES = ('ways.png', 'errors.png', 'nees.png')
 #: Ratio of unaligned errors to those with the team aligned, and NEES/3, of which both are above
 #: it only where the ground truth is in another frame.
 OTHER_FRAME = 10.0
@@ -117,9 +119,9 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     if arguments.plots:
         from fej_slam_ros.evaluation import figures
 
-        write_figure(output / 'ways.png', figures.draw_trajectories, evaluation)
-        write_figure(output / 'errors.png', figures.draw_errors, evaluation)
-        write_figure(output / 'nees.png', figures.draw_nees, evaluation)
+        draw_all = figures.draw_trajectories, figures.draw_errors, figures.draw_nees
+        for name, draw in zip(FIGURES, draw_all):
+            write_figure(output / name, draw, evaluation)
     write_json(output / 'evaluation.json', report)
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
@@ -130,7 +132,7 @@ def _files(output: Path, robots: Iterable[str], plots: bool) -> Iterator[Path]:
     for name in robots:
         yield from _robot_files(output, name)
     if plots:
-        yield from (output / name for name in ('ways.png', 'errors.png', 'nees.png'))
+        yield from (output / name for name in FIGURES)
 
 
 def _robot_files(output: Path, name: str) -> tuple[Path, Path, Path]:
