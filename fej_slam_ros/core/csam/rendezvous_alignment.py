@@ -85,7 +85,7 @@ class RendezvousAligner:
         """Return a failure if a rendezvous is not in the largest set of those that agree."""
         compared: list[Rendezvous] = []
         base_nodes: list[BaseNode] = []
-        # Whatever comes first, the rendezvous itself takes part.
+        # The rendezvous itself takes part in any case.
         room = MAX_COMPARED - 1
         for other in attempted:
             if other is not rendezvous and not (room and _relates(other, p, q)):

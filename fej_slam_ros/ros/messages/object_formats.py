@@ -31,8 +31,8 @@ ORIGIN, UPRIGHT = Point(x=0.0, y=0.0, z=0.0), Quaternion(x=0.0, y=0.0, z=0.0, w=
 UNSET_POSE = Pose(position=ORIGIN, orientation=UPRIGHT)
 #: Smallest coordinate, of the three the largest, of an object in the frame of its sensor [m].
 MIN_OBJECT_DISTANCE = 0.01
-#: Maximum length of a name; 10,000 names are remembered.
-MAX_NAME = 255
+#: Maximum length of the name of an object [characters]; thousands of names are stored.
+MAX_OBJECT_NAME = 255
 
 
 class SensedObject(NamedTuple):
@@ -143,7 +143,7 @@ def detected(sensed: SensedObject) -> DetectedObject | RejectionReason:
     """Return an object of a message, or the reason why it is rejected."""
     if sensed.fault is not None:
         return sensed.fault
-    if len(sensed.name) > MAX_NAME:
+    if len(sensed.name) > MAX_OBJECT_NAME:
         return RejectionReason.BAD_ID
     try:
         pose = spatial_pose(sensed.position, sensed.orientation)

@@ -81,7 +81,7 @@ class FrontEndNode(ParameterNode):
         self._used: dict[str, tuple[int, int]] = {}
         self._qos = QosWatch(self)
         self.received = 0
-        # What is to be published, as far as it was not yet computed.
+        # Publications that are not computed yet, None if all are published.
         self._due: Iterator[Publication] | None = None
 
     @property

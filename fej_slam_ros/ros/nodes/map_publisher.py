@@ -16,8 +16,8 @@ class MapPublisher:
 
     Parameters
     ----------
-    topics : of the node
-    is_overdue : returns whether the process is to end, when all are published once more
+    topics : those of the node
+    is_overdue : whether the process is to end; all are published once more at the end
 
     """
 

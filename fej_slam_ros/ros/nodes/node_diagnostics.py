@@ -14,12 +14,12 @@ from fej_slam_ros.ros.session.diagnostics import also_published, Diagnostics
 
 class NodeDiagnostics:
     """
-    Publishes the diagnostics of sessions with what only their node knows, and logs what is new.
+    Publishes diagnostics of sessions with the state of topics, files and clock; logs new faults.
 
     Parameters
     ----------
-    node : that has the session
-    topics, files : of the node
+    node : the node of the sessions
+    topics, files : those of the node
 
     """
 

@@ -107,8 +107,7 @@ class ParameterNode(CheckedClockNode):
             described = _descriptor(known[name], read_only=name not in changeable)
             self.declare_parameter(name, value, described, ignore_override=True)
 
-    # What was ready when one of these is destroyed still waits for the executor, which would call
-    # it.
+    # The executor still calls what was ready before it was destroyed, which must do nothing then.
 
     def destroy_service(self, service: Service) -> bool:
         """Destroy a service; requests to it that wait for the executor are dropped."""

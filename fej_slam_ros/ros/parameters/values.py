@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of flat ROS parameters, whatever settings they are for; a mistake is a UsageError."""
+"""Checks of flat ROS parameters for settings of any kind; a mistake is a UsageError."""
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence

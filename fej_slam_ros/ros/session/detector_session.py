@@ -28,8 +28,8 @@ from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 LASER_SCAN = 'sensor_msgs/msg/LaserScan'
 #: Number of radii that are stored for each robot.
 MAX_RADII = 1_000
-#: Number of waiting scans above which the processor is too slow: no laser sends so many in the
-#: second for which a scan waits for odometry.
+#: Number of waiting scans above which processing is too slow: a laser sends fewer in the second
+#: for which a scan waits for odometry.
 MANY_WAITING = 500
 
 

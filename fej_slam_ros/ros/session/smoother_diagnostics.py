@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics of the smoother: what is solved, and the worker that solves it."""
+"""Diagnostics of the smoother: state of each robot, size and times of the solution."""
 
 from collections.abc import Mapping
 from types import MappingProxyType
