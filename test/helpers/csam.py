@@ -4,6 +4,7 @@
 
 import numpy as np
 
+from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.rendezvous_alignment import rendezvous_between
@@ -64,6 +65,11 @@ class Met:
         error = noise * rng.multivariate_normal(np.zeros(2), R_ROBOT)
         z = turn(x[2]).T @ (y - x)[:2] + error
         return RendezvousMeasurement(observer, k, observed, k, z, R_ROBOT, k * NS)
+
+
+def joined_maps(maps, measurements):
+    """Return the joined maps of robots, and the failures."""
+    return join_maps([*map(JointMap.of, maps)], measurements)
 
 
 def in_another_frame(local, frame):

@@ -8,24 +8,18 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam.map_merging import join_maps
-from fej_slam_ros.core.csam.maps import JointMap, LocalMap
+from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
-from fej_slam_ros.core.geometry import compose, inverse, transform, transform_poses
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import rows_of
 from helpers.core import turn, wrapped
-from helpers.csam import in_another_frame, Met, true_base_node
+from helpers.csam import in_another_frame, joined_maps, Met, true_base_node
 
 CHAIN = [(a, a + 1, k) for a in (0, 1) for k in range(3, 8)]
 LOOP = [*CHAIN, *((2, 0, k) for k in range(7, 11))]
 PAIR = [(0, 1, k) for k in range(3, 8)]
-
-
-def joined_maps(maps, measurements):
-    return join_maps([*map(JointMap.of, maps)], measurements)
 
 
 def base_nodes(joint):
@@ -105,71 +99,6 @@ def test_merged_landmarks_keep_one_key_of_each_robot():
 
     for keys in joint.landmarks:
         assert sorted(owner for owner, _ in keys) == ['r1', 'r2']
-
-
-def lying(team, steps):
-    """Return the measurements, those at some steps as if the other map was 5 m away and turned."""
-    p, q = team.maps
-    false = compose(np.array([4.0, -3.0, 0.5]), true_base_node(team, 'r1', 'r2'))
-    poses = {'r1': p.values.poses, 'r2': transform_poses(false, q.values.poses)}
-    return [
-        replace(m, z=transform(inverse(poses[m.observer][m.pose]), poses[m.observed][m.pose, :2]))
-        if m.pose in steps else m for m in team.measurements]
-
-
-SESSIONS = [range(3, 9), range(30, 36), range(60, 66)]
-
-
-@pytest.mark.parametrize('wrong', [0, 1, 2])
-def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wrong):
-    met = [(0, 1, k) for session in SESSIONS for k in session]
-    team = Met(9, met, steps=66)
-
-    (joint,), failed, _ = joined_maps(team.maps, lying(team, SESSIONS[wrong]))
-
-    alone = [m for m in team.measurements if m.pose not in SESSIONS[wrong]]
-    (expected,), *_ = joined_maps(team.maps, alone)
-    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
-    assert [failure.robots for failure in failed] == [('r1', 'r2')]
-    assert 'inconsistent' in failed[0].reason
-
-
-def test_three_rendezvous_that_agree_outvote_two_earlier_ones_with_one_lie():
-    starts = range(3, 153, 30)
-    team = Met(9, [(0, 1, k) for start in starts for k in range(start, start + 6)], steps=130)
-
-    (joint,), failed, _ = joined_maps(team.maps, lying(team, range(60)))
-
-    true = [m for m in team.measurements if m.pose > 60]
-    (expected,), *_ = joined_maps(team.maps, true)
-    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
-    assert len(failed) > 0
-
-
-def test_glimpses_that_align_nothing_take_no_part_in_the_vote():
-    glimpses = [(0, 1, k) for k in range(3, 13, 2)]
-    starts = range(20, 140, 30)
-    team = Met(9, [*glimpses, *((0, 1, k) for a in starts for k in range(a, a + 6))], steps=120)
-    apart = [
-        replace(m, stamp=m.stamp - 1000 * NS * (20 - m.pose)) if m.pose < 20 else m
-        for m in lying(team, range(20, 30))]
-
-    (joint,), *_ = joined_maps(team.maps, apart)
-
-    base_node = true_base_node(team, 'r1', 'r2')
-    assert_allclose(base_nodes(joint)['r2'].pose, base_node, atol=1.0)
-
-
-def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps():
-    """Either may be wrong; the second is reported."""
-    met = [(0, 1, k) for session in SESSIONS[:2] for k in session]
-    team = Met(9, met, steps=40)
-
-    (joint,), failed, _ = joined_maps(team.maps, lying(team, SESSIONS[1]))
-
-    (expected,), *_ = joined_maps(team.maps, [m for m in team.measurements if m.pose < 9])
-    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
-    assert [failure.robots for failure in failed] == [('r1', 'r2')]
 
 
 def joined_robots(team):

@@ -1,0 +1,78 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Of several rendezvous of two maps, those that agree align them."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.testing import assert_allclose
+import pytest
+
+from fej_slam_ros.core.geometry import compose, inverse, transform, transform_poses
+from fej_slam_ros.core.records import NS
+from helpers.csam import joined_maps, Met, true_base_node
+
+
+def with_false_steps(team, steps):
+    """Return the measurements, those at some steps as if the other map was 5 m away and turned."""
+    p, q = team.maps
+    false = compose(np.array([4.0, -3.0, 0.5]), true_base_node(team, 'r1', 'r2'))
+    poses = {'r1': p.values.poses, 'r2': transform_poses(false, q.values.poses)}
+    return [
+        replace(m, z=transform(inverse(poses[m.observer][m.pose]), poses[m.observed][m.pose, :2]))
+        if m.pose in steps else m for m in team.measurements]
+
+
+SESSIONS = [range(3, 9), range(30, 36), range(60, 66)]
+
+
+@pytest.mark.parametrize('wrong', [0, 1, 2])
+def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wrong):
+    met = [(0, 1, k) for session in SESSIONS for k in session]
+    team = Met(9, met, steps=66)
+
+    (joint,), failed, _ = joined_maps(team.maps, with_false_steps(team, SESSIONS[wrong]))
+
+    alone = [m for m in team.measurements if m.pose not in SESSIONS[wrong]]
+    (expected,), *_ = joined_maps(team.maps, alone)
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+    assert [failure.robots for failure in failed] == [('r1', 'r2')]
+    assert 'inconsistent' in failed[0].reason
+
+
+def test_three_rendezvous_that_agree_outvote_two_earlier_ones_with_one_lie():
+    starts = range(3, 153, 30)
+    team = Met(9, [(0, 1, k) for start in starts for k in range(start, start + 6)], steps=130)
+
+    (joint,), failed, _ = joined_maps(team.maps, with_false_steps(team, range(60)))
+
+    true = [m for m in team.measurements if m.pose > 60]
+    (expected,), *_ = joined_maps(team.maps, true)
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+    assert len(failed) > 0
+
+
+def test_glimpses_that_align_nothing_take_no_part_in_the_vote():
+    glimpses = [(0, 1, k) for k in range(3, 13, 2)]
+    starts = range(20, 140, 30)
+    team = Met(9, [*glimpses, *((0, 1, k) for a in starts for k in range(a, a + 6))], steps=120)
+    apart = [
+        replace(m, stamp=m.stamp - 1000 * NS * (20 - m.pose)) if m.pose < 20 else m
+        for m in with_false_steps(team, range(20, 30))]
+
+    (joint,), *_ = joined_maps(team.maps, apart)
+
+    base_node = true_base_node(team, 'r1', 'r2')
+    assert_allclose(joint.base_nodes(joint.information())['r2'].pose, base_node, atol=1.0)
+
+
+def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps():
+    """Either may be wrong; the second is reported."""
+    met = [(0, 1, k) for session in SESSIONS[:2] for k in session]
+    team = Met(9, met, steps=40)
+
+    (joint,), failed, _ = joined_maps(team.maps, with_false_steps(team, SESSIONS[1]))
+
+    (expected,), *_ = joined_maps(team.maps, [m for m in team.measurements if m.pose < 9])
+    assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
+    assert [failure.robots for failure in failed] == [('r1', 'r2')]
