@@ -188,6 +188,18 @@ def meeting_truth(steps=5):
     return [TrueLandmarks({i: np.array(at) for i, at in LANDMARKS.items()}), *poses]
 
 
+def noisy_meeting():
+    """Return messages of the meeting with noise: numbers of which every digit matters."""
+    rng = np.random.default_rng(5)
+    records = [odometry('r1', 0), odometry('r2', 0)]
+    for k in range(1, 8):
+        for robot, (x, y) in {'r1': (0.0, 0.0), 'r2': R2_START}.items():
+            at = np.array([x + k / 10.0, y])
+            records += [odometry(robot, 100 * k), scan(robot, 100 * k, [
+                (i, point - at + rng.normal(0.0, 0.1, 2)) for i, point in LANDMARKS.items()])]
+    return [raw_record(record) for record in records]
+
+
 def drive(run, messages):
     """Process messages one by one and close the run; return all publications."""
     published = []
@@ -256,6 +268,13 @@ def assert_one_sentence(result, status, *parts):
     assert error.count('\n') == 1
     for part in map(str, parts):
         assert part in error
+
+
+def finished_run(folder, messages, force=False, **options):
+    """Return a run that has ended and completed its files, and its summary."""
+    run = EstimatorSession(run_settings(**options), folder, force)
+    drive(run, messages)
+    return run, run.write_files()
 
 
 def summary_of(folder):

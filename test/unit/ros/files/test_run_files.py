@@ -2,31 +2,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of a run equal its estimates bit for bit, and appear only at its end."""
 
-import json
-
 import numpy as np
 import pytest
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import Odometry
-from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.ros.parameters import as_parameters
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from helpers.records import odometry, scan, team
+from helpers.records import odometry, team
 from helpers.ros import (
-    csv_rows, decoded, LANDMARKS, meeting, meeting_truth, odometry_message, R2_START, raw,
-    raw_record, run_settings, summary_of)
-
-#: Noise makes numbers whose every digit matters.
-RNG = np.random.default_rng(5)
-NOISY = [odometry('r1', 0), odometry('r2', 0)]
-for k in range(1, 8):
-    for robot, (x, y) in {'r1': (0.0, 0.0), 'r2': R2_START}.items():
-        at = np.array([x + k / 10.0, y])
-        NOISY += [odometry(robot, 100 * k), scan(robot, 100 * k, [
-            (i, landmark - at + RNG.normal(0.0, 0.1, 2)) for i, landmark in LANDMARKS.items()])]
-NOISY = [raw_record(record) for record in NOISY]
+    csv_rows, decoded, finished_run, meeting, noisy_meeting, raw_record, run_settings)
 
 NAMES = {
     'landmarks.csv', 'r1.tum', 'r2.tum', 'summary.json', 'trajectory_r1.csv', 'trajectory_r2.csv'}
@@ -35,16 +20,6 @@ NAMES = {
 @pytest.fixture
 def folder(tmp_path):
     return tmp_path / 'results'
-
-
-def finished(folder, messages, force=False, **options):
-    """Return a run that is over and has left its files, and its summary."""
-    run = EstimatorSession(run_settings(**options), folder, force)
-    for message in messages:
-        run.receive(message)
-        list(run.take())
-    list(run.close())
-    return run, run.write_files()
 
 
 def estimates(messages, **options):
@@ -63,7 +38,7 @@ def first_line(path):
 
 
 def test_a_run_writes_exactly_its_files(folder):
-    finished(folder, NOISY)
+    finished_run(folder, noisy_meeting())
 
     assert {path.name for path in folder.iterdir()} == NAMES
     assert first_line(folder / 'trajectory_r1.csv') == (
@@ -73,9 +48,9 @@ def test_a_run_writes_exactly_its_files(folder):
 
 @pytest.mark.parametrize('robot', ['r1', 'r2'])
 def test_a_trajectory_file_equals_the_estimates_bit_for_bit(folder, robot):
-    finished(folder, NOISY)
+    finished_run(folder, noisy_meeting())
 
-    expected, _ = estimates(NOISY)
+    expected, _ = estimates(noisy_meeting())
     written = csv_rows(folder / f'trajectory_{robot}.csv')
     assert len(written) == len(expected[robot]) == 8
     for row, pose in zip(written, expected[robot]):
@@ -87,9 +62,9 @@ def test_a_trajectory_file_equals_the_estimates_bit_for_bit(folder, robot):
 
 
 def test_the_map_file_equals_the_estimates_bit_for_bit(folder):
-    finished(folder, NOISY)
+    finished_run(folder, noisy_meeting())
 
-    _, estimator = estimates(NOISY)
+    _, estimator = estimates(noisy_meeting())
     state = estimator.groups.team.state
     written = csv_rows(folder / 'landmarks.csv')
     assert [(int(row['id']), row['frame']) for row in written] == [(i, 'map') for i in (1, 2, 3)]
@@ -102,7 +77,7 @@ def test_the_map_file_equals_the_estimates_bit_for_bit(folder):
 
 
 def test_each_row_has_its_frame_and_tum_the_last_one_only(folder):
-    finished(folder, NOISY)
+    finished_run(folder, noisy_meeting())
 
     trajectory = csv_rows(folder / 'trajectory_r2.csv')
     assert [row['frame'] for row in trajectory] == ['r2/map'] + ['map'] * 7
@@ -116,14 +91,14 @@ def test_each_row_has_its_frame_and_tum_the_last_one_only(folder):
 
 
 def test_a_robot_that_never_moved_has_a_header_and_no_rows(folder):
-    finished(folder, [raw_record(odometry('r1', 0))])
+    finished_run(folder, [raw_record(odometry('r1', 0))])
 
     assert csv_rows(folder / 'trajectory_r2.csv') == []
     assert (folder / 'r2.tum').read_text() == ''
 
 
 def test_ids_that_are_not_shared_are_listed_in_ids_csv(folder):
-    finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
+    finished_run(folder, map(raw_record, meeting()), shared_landmark_ids=False)
 
     landmarks, ids = csv_rows(folder / 'landmarks.csv'), csv_rows(folder / 'ids.csv')
     assert first_line(folder / 'ids.csv') == 'landmark,robot,id'
@@ -132,49 +107,10 @@ def test_ids_that_are_not_shared_are_listed_in_ids_csv(folder):
         *(('map', 'r1', n) for n in '123'), *(('r2/map', 'r2', n) for n in '123')]
 
 
-def test_the_summary_holds_all_figures(folder):
-    truth = [raw_record(record) for record in meeting_truth(8)]
-    late = raw('r1/odom', odometry_message(50), 700)
-    stranger = raw('r9/odom', odometry_message(50), 700)
-
-    run, told = finished(folder, [*truth, *NOISY, late, stranger])
-
-    summary = summary_of(folder)
-    assert summary == json.loads(json.dumps(told))
-    assert {'state_hash', 'counts', 'nis', 'rmse', 'nees', 'config', 'versions'} <= set(summary)
-    assert summary['state_hash'] == run.estimator.state_hash()
-    assert summary['counts'] == {
-        **{reason.value: 0 for reason in RejectionReason}, 'released_without': 0,
-        'late': 1, 'unknown_robot': 1, 'used': len(truth) - 1 + len(NOISY)}
-    assert summary['depends_on_arrival'] is True
-    assert summary['config'] == as_parameters(run_settings())
-
-
-def test_errors_compare_the_trajectory_with_ground_truth(folder):
-    finished(folder, [*map(raw_record, meeting_truth(8)), *NOISY])
-
-    scores = summary_of(folder)
-    xy = np.array([[float(r['x']), float(r['y'])] for r in csv_rows(folder / 'trajectory_r1.csv')])
-    errors = xy - np.column_stack([np.arange(8) / 10.0, np.zeros(8)])
-    assert scores['rmse']['r1']['position'] == pytest.approx(
-        np.sqrt(np.mean(np.sum(errors**2, axis=1))), rel=1e-12)
-    found = np.array([[float(r['x']), float(r['y'])] for r in csv_rows(folder / 'landmarks.csv')])
-    assert scores['rmse']['landmarks'] == pytest.approx(
-        np.sqrt(np.mean(np.sum((found - [*LANDMARKS.values()])**2, axis=1))), rel=1e-12)
-    assert scores['rmse']['r2']['steps'] == 7  # it joins at the second of its eight steps
-    assert set(scores['nees']) == {'r1', 'r2', 'landmarks'}
-
-
-def test_without_ground_truth_there_are_no_errors(folder):
-    _, told = finished(folder, NOISY)
-
-    assert not {'rmse', 'nees'} & set(told)
-
-
 def test_no_file_has_its_name_before_the_run_is_over(folder):
     run = EstimatorSession(run_settings(), folder)
 
-    for message in NOISY:
+    for message in noisy_meeting():
         run.receive(message)
         list(run.take())
     list(run.close())
@@ -194,7 +130,7 @@ def test_nothing_of_an_earlier_run_is_overwritten(folder, name):
 
 
 def test_force_replaces_an_earlier_run_when_the_new_one_is_over(folder):
-    finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
+    finished_run(folder, map(raw_record, meeting()), shared_landmark_ids=False)
     before = (folder / 'trajectory_r1.csv').read_text()
 
     run = EstimatorSession(run_settings(), folder, force=True)
@@ -206,9 +142,9 @@ def test_force_replaces_an_earlier_run_when_the_new_one_is_over(folder):
 
 
 def test_force_deletes_an_ids_csv_that_no_longer_applies(folder):
-    finished(folder, map(raw_record, meeting()), shared_landmark_ids=False)
+    finished_run(folder, map(raw_record, meeting()), shared_landmark_ids=False)
 
-    finished(folder, NOISY, force=True)
+    finished_run(folder, noisy_meeting(), force=True)
 
     assert {path.name for path in folder.iterdir()} == NAMES
 
@@ -221,14 +157,14 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_a_run_without_a_folder_has_a_summary():
-    run, told = finished(None, NOISY)
+    run, told = finished_run(None, noisy_meeting())
 
     assert told['state_hash'] == run.estimator.state_hash()
 
 
 def test_present_day_stamps_keep_their_nanoseconds(folder):
     now = 1_795_000_000_003_456_789
-    finished(folder, [raw_record(Odometry('r1', now, np.zeros(3), None))])
+    finished_run(folder, [raw_record(Odometry('r1', now, np.zeros(3), None))])
 
     (row,) = csv_rows(folder / 'trajectory_r1.csv')
     assert (folder / 'r1.tum').read_text().startswith('1795000000.003456789 ')

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.session.estimator_outputs import ThinnedPath
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.outputs import MAX_PATH, rejections
+from fej_slam_ros.ros.session.outputs import MAX_PATH
 from helpers.records import MS, odometry, scan
 from helpers.ros import drive, LANDMARKS, meeting, R2_START, raw_record, run_settings, through_cdr
 
@@ -136,29 +136,6 @@ def test_without_publish_tf_there_are_no_transforms():
 
     assert '/tf' not in run.outputs.topics
     assert '/tf' not in published
-
-
-def test_a_rejected_observation_is_published_once():
-    far = scan('r1', 400, [(1, (-9.0, 3.0))])
-
-    run, published = driven([*meeting(), far])
-
-    (told,) = published['~/rejections']
-    values = {v.key: v.value for v in told.values}
-    assert (values['robot'], values['id'], values['reason']) == ('r1', '1', 'gated')
-    # Chi-square with two degrees of freedom: -2 ln(1 - 0.999).
-    assert float(values['threshold']) == pytest.approx(-2.0 * np.log(0.001), rel=1e-9)
-    assert float(values['d2']) > float(values['threshold'])
-    assert list(rejections(run.estimator.statistics)) == []
-
-
-def test_rejections_are_published_in_their_order():
-    far = scan('r1', 400, [(1, (-9.0, 3.0)), (2, (-9.0, 3.0))])
-
-    _, published = driven([*meeting(), far])
-
-    told = [{v.key: v.value for v in status.values} for status in published['~/rejections']]
-    assert [values['id'] for values in told] == ['1', '2']
 
 
 def test_maps_and_paths_are_published_with_markers():
