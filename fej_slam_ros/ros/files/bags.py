@@ -60,22 +60,22 @@ class BagTopic:
 def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic]:
     """Return the topics of a bag by name."""
     with _opened(path) as reader:
+        # The metadata may state other numbers.
+        recorded = _recorded(reader)
         return {
             names.name(connection.topic): BagTopic(
-                connection.msgtype, connection.msgcount, _is_latched(connection),
-                _is_known(connection))
+                connection.msgtype, recorded[connection.topic, connection.msgtype],
+                _is_latched(connection), _is_known(connection))
             for connection in reader.connections}
 
 
 def miscounted(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, tuple[int, int]]:
     """Return the message counts in the metadata and in the files, by topic, where they differ."""
     with _opened(path) as reader:
-        recorded: Counter[str] = Counter()
-        for storage in damaged_bags.storages(reader):
-            recorded.update({c.topic: c.msgcount for c in storage.connections})
+        recorded = _recorded(reader)
         return {
-            names.name(c.topic): (c.msgcount, recorded[c.topic])
-            for c in reader.connections if c.msgcount != recorded[c.topic]}
+            names.name(c.topic): (c.msgcount, recorded[c.topic, c.msgtype])
+            for c in reader.connections if c.msgcount != recorded[c.topic, c.msgtype]}
 
 
 def without_checksum(path: Path) -> dict[str, str]:
@@ -212,6 +212,15 @@ def _opened(path: Path) -> Iterator[Reader]:
     # The reader raises errors of many types for a damaged bag.
     except Exception as error:  # noqa: BLE001
         raise UserError(damaged_bags.explanation(path, error)) from None
+
+
+def _recorded(reader: Reader) -> Counter[tuple[str, str]]:
+    """Return the number of messages in the files of a bag, by recorded topic and type."""
+    recorded: Counter[tuple[str, str]] = Counter()
+    for storage in damaged_bags.storages(reader):
+        for connection in storage.connections:
+            recorded[connection.topic, connection.msgtype] += connection.msgcount
+    return recorded
 
 
 def _check_metadata(path: Path) -> None:

@@ -2,13 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Bags are compatible with other programs, and appear only when complete."""
 
+from collections import Counter
 from contextlib import suppress
 import json
+import re
 from time import process_time
 
 import pytest
 from rosbags.interfaces import QosDurability, QosHistory, QosReliability
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, Writer
 from ruamel.yaml import YAML
 
 from fej_slam_ros.core.records import fingerprint, TrueLandmarks
@@ -48,6 +50,30 @@ def test_messages_are_read_in_the_order_of_writing(path, storage):
 
     in_time = sorted(RECORDS, key=lambda record: record.stamp)
     assert list(bags.read(path)) == [raw_record(record) for record in in_time]
+
+
+@each_storage
+def test_messages_are_counted_in_the_files_and_not_in_the_metadata(path, storage):
+    bags.write(path, meeting(), storage)
+    listed = (path / 'metadata.yaml').read_text()
+    (path / 'metadata.yaml').write_text(re.sub('message_count: .*', 'message_count: 0', listed))
+
+    counts = {name: topic.messages for name, topic in bags.topics(path).items()}
+
+    assert counts == Counter(message.topic for message in bags.read(path))
+    # The records are those of two robots at five steps, scans from the second on.
+    assert counts == {'r1/odom': 5, 'r2/odom': 5, 'r1/landmarks': 4, 'r2/landmarks': 4}
+
+
+@each_storage
+def test_messages_of_two_types_on_one_topic_are_counted_apart(path, storage):
+    with Writer(path, version=9, storage_plugin=bags.STORAGES[storage]) as bag:
+        for type_name, count in (ODOMETRY, 5), (CLOUD, 3):
+            connection = bag.add_connection('/r1/odom', type_name, typestore=TYPES)
+            for k in range(count):
+                bag.write(connection, k, b'')
+
+    assert bags.miscounted(path) == {}
 
 
 @each_storage
