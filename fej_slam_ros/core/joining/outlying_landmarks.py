@@ -16,7 +16,7 @@ from scipy.special import chdtri
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import (
-    determine_heading, fit, FrameFit, shared_variables, StackedVariables)
+    determine_heading, fit, FrameFit, shared_variables, StackedVariables, Variables)
 from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 
@@ -39,23 +39,24 @@ def outlying_landmarks(
     chi-square.
 
     """
-    ours, theirs = ([v for v in variables if isinstance(v, Landmark)]
-                    for variables in shared_variables(team, group))
+    shared = shared_variables(team, group)
+    ours, theirs = ([v for v in variables if isinstance(v, Landmark)] for variables in shared)
     points = (state.estimates_of(position_indices(landmarks))
               for state, landmarks in ((team, ours), (group, theirs)))
     farthest = [ours[k].key for k in farthest_points(*points)]
-    return _contradicting(team, group, farthest, tail) or _contradicting(
-        team, group, _observed_once(team, group), tail)
+    found = _contradicting(team, group, farthest, tail)
+    once = _observed_once(*shared)
+    if found or len(shared[0]) - len(once) < MIN_SHARED:
+        return found
+    return _contradicting(team, group, once, tail)
 
 
-def _observed_once(team: JointState, group: JointState) -> list[LandmarkKey]:
-    """Return the landmarks that either frame observed once, if enough others are shared."""
-    ours, theirs = shared_variables(team, group)
-    once = [
+def _observed_once(ours: Variables, theirs: Variables) -> list[LandmarkKey]:
+    """Return the shared landmarks that either frame observed once, whose IDs may be misread."""
+    return [
         our.key for our, their in zip(ours, theirs)
         if isinstance(our, Landmark) and isinstance(their, Landmark)
         and not (our.is_reobserved and their.is_reobserved)]
-    return once if len(ours) - len(once) >= MIN_SHARED else []
 
 
 def _contradicting(
@@ -113,18 +114,14 @@ def single_observation_failure(
     if not MIN_SHARED <= len(ours) <= MAX_SHARED:
         return None
     worst, largest = None, SINGLE_OBSERVATION_D2
-    for our, their in zip(ours, theirs):
-        if not isinstance(our, Landmark) or not isinstance(their, Landmark) or (
-                our.is_reobserved and their.is_reobserved):
-            continue
-        found = fit(team, group, {our.key}) if determine_heading(
-            team, group, {our.key}) else None
+    for key in _observed_once(ours, theirs):
+        found = fit(team, group, {key}) if determine_heading(team, group, {key}) else None
         if found is None or found.heading_sigma() > max_heading_sigma:
             return JoinFailure(
-                f'landmark {our.key[1]}, which was observed once, determines the heading alone')
-        (d2,) = _increases_of_chi2(found, team, group, [our.key])
+                f'landmark {key[1]}, which was observed once, determines the heading alone')
+        (d2,) = _increases_of_chi2(found, team, group, [key])
         if d2 > largest:
-            worst, largest = our.key, d2
+            worst, largest = key, d2
     return worst and JoinFailure(
         f'landmark {worst[1]}, which was observed once, contradicts the others',
         outlying_landmarks=(worst,))
