@@ -122,23 +122,6 @@ class Estimator(TeamInput):
                 self.innovations.nis.setdefault(name, NisMonitor())
                 self.groups.not_in_map[name] = 'it sent no odometry'
 
-    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
-        """
-        Add a record; return the reason if it is rejected, None if it is accepted.
-
-        Parameters
-        ----------
-        record : measurement, initial pose or ground truth
-        received : time of reception [ns] on the clock of the stamp, None if it is unknown
-
-        """
-        reason = super().add(record, received)
-        if reason is None and isinstance(record, TruePose):
-            for stamp in self.truth.take_surplus(record.robot):
-                self.statistics.reject(
-                    Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
-        return reason
-
     def run(self, records: Iterable[Record]) -> Iterator[StepResult]:
         """Add all records and close; yield each step when it is finished."""
         for record in records:
@@ -195,6 +178,15 @@ class Estimator(TeamInput):
         """Return SHA-256 over all estimates; equal for equal input on one machine."""
         return state_hash(
             {group.frame: group.state for group in self.groups}, list(self.robots))
+
+    def _add_true_pose(self, record: TruePose) -> RejectionReason | None:
+        """Add ground truth, for which odometry may not come."""
+        reason = super()._add_true_pose(record)
+        if reason is None:
+            for stamp in self.truth.take_surplus(record.robot):
+                self.statistics.reject(
+                    Rejection(record.robot, stamp, RejectionReason.AFTER_ODOMETRY))
+        return reason
 
     def _change_settings(self, settings: Settings) -> None:
         self.settings = settings

@@ -73,7 +73,7 @@ class TeamInput:
         if record.robot not in self.robots:
             reason = RejectionReason.UNKNOWN_ROBOT
         elif isinstance(record, TruePose):
-            reason = self.truth.add(record)
+            reason = self._add_true_pose(record)
         elif self.settings.is_future(record.stamp, received):
             reason = RejectionReason.FUTURE
         else:
@@ -84,6 +84,10 @@ class TeamInput:
         """Return the number of messages of a robot that were used."""
         waiting = self.sequencer.waiting(robot) + self._pose_priors.waiting(robot)
         return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
+
+    def _add_true_pose(self, record: TruePose) -> RejectionReason | None:
+        """Add ground truth; return the reason if it is rejected."""
+        return self.truth.add(record)
 
     def _end_input(self) -> None:
         """Reject the records that no odometry has reached."""
