@@ -24,6 +24,7 @@ from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.run_table import run_table
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
+from fej_slam_ros.ros.files.run_files import result_paths
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.sim import tags
 from fej_slam_ros.sim.environments import LaserEnvironment, TagEnvironment
@@ -49,10 +50,6 @@ class Sensor:
 BEHIND_A_NODE = {'anchor': 'r1', 'max_delay': 1.0}
 #: Robots of the simulator.
 ROBOTS = ('r1', 'r2')
-#: Output: of the estimator, and the picture.
-FILES = (
-    PICTURE, 'summary.json', 'landmarks.csv', *(f'{robot}.tum' for robot in ROBOTS),
-    *(f'trajectory_{robot}.csv' for robot in ROBOTS))
 SENSORS = {
     'landmarks': Sensor(
         {'environment': 'circles', 'speed': 8.0, 'clock': True}, {'estimator': {}},
@@ -87,7 +84,7 @@ def run(arguments: argparse.Namespace) -> int:
     output: Path = arguments.output or Path(f'demo{name}_output')
     require_matplotlib()
     with OutputLock.of_folder(output):
-        refuse_existing([output / file for file in FILES], arguments.force)
+        refuse_existing([output / PICTURE, *result_paths(output, ROBOTS)], arguments.force)
         _run(SENSORS[arguments.sensor], output)
     return 0
 

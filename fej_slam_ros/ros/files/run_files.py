@@ -85,10 +85,9 @@ class RunFiles:
         self._trajectories: dict[str, TrajectoryFiles] = {}
         self._lock = OutputLock.of_folder(folder)
         self.earlier = self._lock.earlier
-        names = 'summary.json', 'landmarks.csv', 'ids.csv', *others
         with ExitStack() as on_error:
             on_error.callback(self.discard)
-            refuse_existing([folder / name for name in names], force)
+            refuse_existing([*result_paths(folder), *(folder / name for name in others)], force)
             _delete_incomplete(folder)
             self.add_robots(robots)
             on_error.pop_all()
@@ -224,6 +223,14 @@ def _delete_incomplete(folder: Path) -> None:
         for pattern in INCOMPLETE:
             for path in folder.glob(pattern):
                 path.unlink()
+
+
+def result_paths(folder: Path, robots: Iterable[str] = ()) -> list[Path]:
+    """Return the files that every run has, and those of the poses of some robots."""
+    names = 'summary.json', 'landmarks.csv', 'ids.csv'
+    return [
+        *(folder / name for name in names),
+        *(path for robot in robots for path in _trajectory_paths(folder, robot))]
 
 
 def _trajectory_paths(folder: Path, robot: str) -> tuple[Path, Path]:

@@ -18,8 +18,8 @@ def test_missing_matplotlib_is_reported_before_the_run(tmp_path, monkeypatch, ca
 
 
 @pytest.mark.parametrize('name', [
-    'scene.png', 'summary.json', 'landmarks.csv', 'r1.tum', 'r2.tum', 'trajectory_r1.csv',
-    'trajectory_r2.csv'])
+    'scene.png', 'summary.json', 'landmarks.csv', 'ids.csv', 'r1.tum', 'r2.tum',
+    'trajectory_r1.csv', 'trajectory_r2.csv'])
 def test_no_file_of_another_run_is_overwritten_without_force(tmp_path, capsys, name):
     pytest.importorskip('matplotlib', reason='matplotlib is not installed')
     (tmp_path / name).write_text('of another run')
