@@ -31,6 +31,9 @@ typedef void blas_dgemm(
     double *, int *);
 typedef void blas_dgemv(
     char *, int *, int *, double *, double *, int *, double *, int *, double *, double *, int *);
+typedef void blas_dsyr2k(
+    char *, char *, int *, int *, double *, double *, int *, double *, int *, double *, double *,
+    int *);
 typedef void blas_dsyrk(
     char *, char *, int *, int *, double *, double *, int *, double *, double *, int *);
 typedef void blas_dtrsm(
@@ -40,6 +43,7 @@ typedef void lapack_dpotrf(char *, int *, double *, int *, int *);
 
 static blas_dgemm *dgemm;
 static blas_dgemv *dgemv;
+static blas_dsyr2k *dsyr2k;
 static blas_dsyrk *dsyrk;
 static blas_dtrsm *dtrsm;
 static blas_dtrsv *dtrsv;
@@ -510,7 +514,7 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
         return PyErr_NoMemory();
     }
     Py_ssize_t k = touched(observed, m * d, n, states, column_of);
-    double *P = matrix(&a, capacity, k, 1), *H = matrix(&a, rows, k, 1);
+    double *P = matrix(&a, n, k, 1), *H = matrix(&a, rows, k, 1);
     double *S = matrix(&a, rows, rows, 0), *own = blocks(&a, m, 2, 2);
     if (!P || !H || !S || !own) {
         PyMem_Free(column_of);
@@ -519,10 +523,10 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
 
     for (Py_ssize_t c = 0; c < k; c++) {
         Py_ssize_t j = states[c];
-        double *column = P + c * capacity;
+        double *column = P + c * n;
         for (Py_ssize_t i = 0; i < j; i++)
             column[i] = lower[i * capacity + j];
-        memcpy(column + j, lower + j * capacity + j, (capacity - j) * sizeof(double));
+        memcpy(column + j, lower + j * capacity + j, (n - j) * sizeof(double));
     }
     memset(H, 0, rows * k * sizeof(double));
     for (Py_ssize_t i = 0; i < rows; i++)
@@ -535,7 +539,7 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
             const Py_ssize_t *of_i = observed + i / 2 * d, *of_l = observed + l / 2 * d;
             double sums[] = {0.0, 0.0};
             for (Py_ssize_t j = 0; j < d; j++) {
-                const double *column = P + column_of[of_l[j]] * capacity;
+                const double *column = P + column_of[of_l[j]] * n;
                 double HP = 0.0;
                 for (Py_ssize_t e = 0; e < d; e++)
                     HP += jacobian[i * d + e] * column[of_i[e]];
@@ -580,12 +584,12 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
     if (!take(&a, arguments, given, "fccvn"))
         return NULL;
     double *P = data(&a, 0), *H = data(&a, 1), *L = data(&a, 2), one = 1.0, zero = 0.0;
-    int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 0, 1), step = 1, failed_at = 0;
+    int stored = (int)length(&a, 0, 0), k = (int)length(&a, 0, 1), step = 1, failed_at = 0;
     int rows = (int)length(&a, 3, 0), n = (int)a.number[0];
     if (!fit(&a, is_matrix(&a, 1, rows, k) && is_matrix(&a, 2, rows, rows)
-                 && n >= 0 && n <= capacity))
+                 && n >= 0 && n <= stored))
         return NULL;
-    double *dx = vector(&a, n), *y = vector(&a, rows), *W = matrix(&a, capacity, rows, 1);
+    double *dx = vector(&a, n), *y = vector(&a, rows), *W = matrix(&a, n, rows, 1);
     double log_det = 0.0;
     if (!dx || !y || !W)
         return release(&a);
@@ -595,9 +599,9 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
     dpotrf("L", &rows, L, &rows, &failed_at);
     if (!failed_at) {
         dtrsm("L", "L", "N", "N", &rows, &k, &one, L, &rows, H, &rows);
-        dgemm("N", "T", &capacity, &rows, &k, &one, P, &capacity, H, &rows, &zero, W, &capacity);
+        dgemm("N", "T", &n, &rows, &k, &one, P, &stored, H, &rows, &zero, W, &n);
         dtrsv("L", "N", "N", &rows, L, &rows, y, &step);
-        dgemv("N", &n, &rows, &one, W, &capacity, y, &step, &zero, dx, &step);
+        dgemv("N", &n, &rows, &one, W, &n, y, &step, &zero, dx, &step);
         for (int i = 0; i < rows; i++)
             log_det += 2.0 * log(L[i * rows + i]);
     }
@@ -620,14 +624,34 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
     if (!take(&a, arguments, given, "mfn"))
         return NULL;
     double *lower = data(&a, 0), *W = data(&a, 1), one = 1.0, minus = -1.0;
-    int capacity = (int)length(&a, 0, 0), k = (int)length(&a, 1, 1);
-    int n = (int)a.number[0];
-    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && is_matrix(&a, 1, capacity, k)
-                 && n >= 0 && n <= capacity))
+    int capacity = (int)length(&a, 0, 0), stored = (int)length(&a, 1, 0);
+    int k = (int)length(&a, 1, 1), n = (int)a.number[0];
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && n >= 0 && n <= capacity && n <= stored))
         return NULL;
 
     Py_BEGIN_ALLOW_THREADS
-    dsyrk("L", "N", &n, &k, &minus, W, &capacity, &one, lower, &capacity);
+    dsyrk("L", "N", &n, &k, &minus, W, &stored, &one, lower, &capacity);
+    Py_END_ALLOW_THREADS
+    release(&a);
+    Py_RETURN_NONE;
+}
+
+/* add_symmetric_product(lower, V, B, n) */
+static PyObject *add_symmetric_product(
+    PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "mffn"))
+        return NULL;
+    double *lower = data(&a, 0), *V = data(&a, 1), *B = data(&a, 2), one = 1.0;
+    int capacity = (int)length(&a, 0, 0), stored = (int)length(&a, 1, 0);
+    int k = (int)length(&a, 1, 1), n = (int)a.number[0];
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && is_matrix(&a, 2, stored, k)
+                 && n >= 0 && n <= capacity && n <= stored))
+        return NULL;
+
+    Py_BEGIN_ALLOW_THREADS
+    dsyr2k("L", "N", &n, &k, &one, V, &stored, B, &stored, &one, lower, &capacity);
     Py_END_ALLOW_THREADS
     release(&a);
     Py_RETURN_NONE;
@@ -673,7 +697,7 @@ static PyMethodDef functions[] = {
     FUNCTION(moved), FUNCTION(Phi), FUNCTION(propagated), FUNCTION(diagonal_block),
     FUNCTION(settle), FUNCTION(stacked), FUNCTION(observed_states), FUNCTION(h), FUNCTION(H),
     FUNCTION(project), FUNCTION(squared_distances), FUNCTION(correction),
-    FUNCTION(subtract_product), FUNCTION(retracted),
+    FUNCTION(subtract_product), FUNCTION(add_symmetric_product), FUNCTION(retracted),
     {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {
@@ -684,6 +708,7 @@ PyMODINIT_FUNC PyInit__kernel(void)
     const char *blas = "scipy.linalg.cython_blas", *lapack = "scipy.linalg.cython_lapack";
     import_array();
     if (!find(blas, "dgemm", (void **)&dgemm) || !find(blas, "dgemv", (void **)&dgemv)
+            || !find(blas, "dsyr2k", (void **)&dsyr2k)
             || !find(blas, "dsyrk", (void **)&dsyrk)
             || !find(blas, "dtrsm", (void **)&dtrsm)
             || !find(blas, "dtrsv", (void **)&dtrsv)

@@ -9,22 +9,26 @@ A step of a small map takes most of its time in numpy's calls, not in its flops.
 
 from fej_slam_ros.core.ekf import _kernel, numpy_kernel
 from fej_slam_ros.core.ekf._kernel import (
-    correction, diagonal_block, H, h, moved, observed_states, Phi, propagated, retracted, settle,
-    squared_distances, stacked, subtract_product)
+    add_symmetric_product, correction, diagonal_block, H, h, moved, observed_states, Phi,
+    propagated, retracted, settle, squared_distances, stacked, subtract_product)
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS
 
 __all__ = [
-    'NAME', 'H', 'Phi', 'correction', 'diagonal_block', 'h', 'moved', 'observed_states', 'project',
-    'propagated', 'retracted', 'settle', 'squared_distances', 'stacked', 'subtract_product']
+    'NAME', 'STORAGE_GROWTH', 'H', 'Phi', 'add_symmetric_product', 'correction', 'diagonal_block',
+    'h', 'moved', 'observed_states', 'project', 'propagated', 'retracted', 'settle',
+    'squared_distances', 'stacked', 'subtract_product']
 
 NAME = 'compiled'
+#: Share of its rows by which the storage of P grows: an update costs the rows in use only, so that
+#: storage is copied rarely.
+STORAGE_GROWTH = 0.25
 
 
 def project(
     lower: Array, n: int, observed: Indices, blocks: Array, R: Array
 ) -> tuple[Array, Array, Array, Array]:
     """Return P, H, S and its blocks; in pieces, by the other kernel, where P is large."""
-    if len(lower) * min(observed.size, n) > PIECE_ELEMENTS:
+    if n * min(observed.size, n) > PIECE_ELEMENTS:
         return numpy_kernel.project(lower, n, observed, blocks, R)
     return _kernel.project(lower, n, observed, blocks, R)

@@ -13,7 +13,6 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.blas import dsyr2k
 
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
@@ -71,7 +70,8 @@ class Transport:
 class Projection(NamedTuple):
     """The prior as seen by the observations of an update."""
 
-    P: Array  #: (capacity, k) Fortran array, the columns of the k states that are touched
+    #: (rows, k) Fortran array, the columns of the k states that are touched, with at least n rows
+    P: Array
     H: Array  #: (2 m, k) array, the Jacobian with respect to these
     S: Array  #: (2 m, 2 m) array, H P H^T + R; only its lower triangle is used
     own: Array  #: (m, 2, 2) array, the diagonal blocks of S
@@ -82,7 +82,8 @@ class Correction(NamedTuple):
 
     dx: Array  #: (n,) array, the correction K r = W y
     y: Array  #: (2 m,) array, the whitened innovation L^-1 r
-    W: Array  #: (capacity, 2 m) Fortran array, P H^T L^-T, so that K S K^T = W W^T
+    #: (rows, 2 m) Fortran array, P H^T L^-T, so that K S K^T = W W^T, with at least n rows
+    W: Array
     log_det: float  #: log det S
 
 
@@ -185,10 +186,8 @@ class Covariance:
         V[:self.dimension] = A.V
         # A P A^T = P + V B^T + B V^T with B = P E + 1/2 V E^T P E.
         B = PE + 0.5 * V @ PE[A.columns]
-        # In place, since it is the whole storage.
-        dsyr2k(
-            1.0, np.asfortranarray(V), np.asfortranarray(B),
-            beta=1.0, c=self.matrix.lower, lower=1, overwrite_c=1)
+        KERNEL.add_symmetric_product(
+            self.matrix.lower, np.asfortranarray(V), np.asfortranarray(B), self.dimension)
 
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:

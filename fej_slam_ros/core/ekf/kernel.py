@@ -24,6 +24,7 @@ class Kernel(Protocol):
     """Functions of a kernel; `numpy_kernel` describes them."""
 
     NAME: str
+    STORAGE_GROWTH: float
 
     def moved(self, x: Array, u: Array, Q: Array) -> tuple[Array, Array]:
         """Return f(x, u) and G Q G^T."""
@@ -69,6 +70,9 @@ class Kernel(Protocol):
 
     def subtract_product(self, lower: Array, W: Array, n: int) -> None:
         """Subtract W W^T from a triangle in place."""
+
+    def add_symmetric_product(self, lower: Array, V: Array, B: Array, n: int) -> None:
+        """Add V B^T + B V^T to a triangle in place."""
 
     def retracted(self, x: Array, dx: Array, headings: Indices) -> Array:
         """Return x + dx with wrapped headings."""

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import math
 
 import numpy as np
-from scipy.linalg.blas import dgemm, dsyrk, dtrsm, dtrsv
+from scipy.linalg.blas import dgemm, dsyr2k, dsyrk, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
 from fej_slam_ros.core import chi_square, models
@@ -18,6 +18,9 @@ from fej_slam_ros.core.geometry import Array, Indices, wrap_all
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS, ranges
 
 NAME = 'numpy'
+#: Share of its rows by which the storage of P grows: scipy's BLAS updates whole arrays in place,
+#: so that spare rows cost flops.
+STORAGE_GROWTH = 0.03
 
 #: Variable (0 observer, 1 observed) and state of each of the five columns of an observation.
 COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
@@ -129,9 +132,9 @@ def project(
     lower: Array, n: int, observed: Indices, blocks: Array, R: Array
 ) -> tuple[Array, Array, Array, Array]:
     """
-    Return the columns of P (capacity, k), H (2 m, k), S = H P H^T + R and its (2, 2) blocks.
+    Return the columns of P (rows, k), H (2 m, k), S = H P H^T + R and its (2, 2) blocks.
 
-    Takes 4 m k^2 + 8 m^2 k flops.
+    There are n rows, or capacity rows that are zero from n on. Takes 4 m k^2 + 8 m^2 k flops.
 
     Parameters
     ----------
@@ -175,6 +178,11 @@ def correction(
 def subtract_product(lower: Array, W: Array, n: int) -> None:  # noqa: ARG001
     """Subtract W W^T of W (capacity, k), zero beyond row n, in place: k n^2 flops."""
     dsyrk(-1.0, W, beta=1.0, c=lower, lower=1, overwrite_c=1)
+
+
+def add_symmetric_product(lower: Array, V: Array, B: Array, n: int) -> None:  # noqa: ARG001
+    """Add V B^T + B V^T of V, B (capacity, k), zero beyond row n, in place: 2 k n^2 flops."""
+    dsyr2k(1.0, V, B, beta=1.0, c=lower, lower=1, overwrite_c=1)
 
 
 def retracted(x: Array, dx: Array, headings: Indices) -> Array:

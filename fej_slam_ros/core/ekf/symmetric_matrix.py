@@ -19,8 +19,10 @@ from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS, PIECE_FLOPS, ranges
 
-#: Minimum number of rows by which the storage grows; beyond 500 rows it grows by 3 %.
+#: Minimum number of rows by which the storage grows; large storage grows by a share of its rows.
 GROWTH = 16
+#: Maximum number of columns that are copied together, from the diagonal down.
+COPIED_COLUMNS = 64
 
 #: Propagations of a variable: the product of all Phi, and its diagonal block.
 Propagated = tuple[Array, Array]
@@ -168,7 +170,7 @@ class SymmetricMatrix:
                 self._lower[j, :j] = full[:j, k]
 
     def subtract_product(self, W: Array) -> None:
-        """Subtract W W^T of a Fortran array W (capacity, k), zero beyond row n: k n^2 flops."""
+        """Subtract W W^T of a Fortran array W, as a kernel does: k n^2 flops."""
         self.settle()
         n, rank = self.dimension, W.shape[1]
         if rank * n ** 2 <= PIECE_FLOPS:
@@ -197,10 +199,10 @@ class SymmetricMatrix:
 
     def _stored(self, capacity: int) -> Array:
         """Return the elements in new storage, zero beyond the old one."""
-        n = min(len(self._lower), capacity)
+        n = min(self.dimension, len(self._lower), capacity)
         stored = np.zeros((capacity, capacity), order='F')
-        for part in ranges(n, PIECE_ELEMENTS / max(n, 1)):
-            stored[:n, part] = self._lower[:n, part]
+        for part in ranges(n, min(PIECE_ELEMENTS / max(n, 1), COPIED_COLUMNS)):
+            stored[part.start:n, part] = self._lower[part.start:n, part]
         return stored
 
     def remove(self, indices: Indices) -> None:
@@ -219,4 +221,4 @@ class SymmetricMatrix:
 
 def _grown(dimension: int) -> int:
     """Return the capacity for a number of rows that exceeds the present one."""
-    return dimension + max(GROWTH, dimension * 3 // 100)
+    return dimension + max(GROWTH, int(KERNEL.STORAGE_GROWTH * dimension))

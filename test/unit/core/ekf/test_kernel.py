@@ -158,13 +158,45 @@ def test_updates_are_equal(compiled, rng, n, m, d):
         seen, sparse, S, own = one.project(matrix, n, states, blocks, R)
         dx, y, W, log_det = one.correction(seen, sparse, S.copy(), r, n)
         one.subtract_product(matrix, W, n)
-        result.append((seen, sparse, np.tril(S), np.tril(own), dx, y, W, log_det, matrix))
+        # The reference stores rows beyond n, which are zero.
+        assert not seen[n:].any()
+        assert not W[n:].any()
+        result.append((seen[:n], sparse, np.tril(S), np.tril(own), dx, y, W[:n], log_det, matrix))
 
     assert_equal_results(*result)
     # By the textbook; the inverse of S loses digits.
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T + block_diag(*R))
     assert_allclose(result[0][4], K @ r, rtol=1e-9, atol=1e-9)
     assert_allclose(np.tril(result[0][-1][:n, :n]), np.tril(P - K @ H @ P), rtol=1e-9, atol=1e-9)
+
+
+def test_symmetric_products_are_equal(compiled, rng):
+    P, lower = covariance(rng, 9, 12)
+    V, B = (np.zeros((12, 4), order='F') for _ in range(2))
+    V[:9], B[:9] = rng.normal(size=(2, 9, 4))
+
+    result = []
+    for one in (compiled, numpy_kernel):
+        matrix = lower.copy('F')
+        one.add_symmetric_product(matrix, V, B, 9)
+        result.append(matrix)
+
+    assert_equal_results(*result)
+    assert_allclose(result[0][:9, :9], np.tril(P + V[:9] @ B[:9].T + B[:9] @ V[:9].T), **TOLERANCE)
+
+
+def test_columns_of_the_reference_are_updated_alike(compiled, rng):
+    # Large columns are read by the reference, in pieces.
+    _, lower = covariance(rng, 8, 11)
+    (states, blocks), R, r = observations(rng, 8, 2, 5), noise(rng, 2), rng.normal(size=4)
+    _, sparse, S, _ = compiled.project(lower, 8, states, blocks, R)
+    columns = [one.project(lower, 8, states, blocks, R)[0] for one in (compiled, numpy_kernel)]
+
+    results = [compiled.correction(P, sparse, S.copy(), r, 8) for P in columns]
+
+    assert [len(P) for P in columns] == [8, 11]
+    for one, other in zip(*results, strict=True):
+        assert_array_equal(one, other)
 
 
 def test_a_covariance_that_is_not_positive_definite_is_refused_by_both(compiled):
@@ -236,7 +268,7 @@ def test_a_product_of_another_size_and_numbers_out_of_range_are_refused(compiled
     lower = np.eye(4, order='F')
 
     with pytest.raises(ValueError, match='do not fit'):
-        compiled.subtract_product(lower, np.zeros((3, 2), order='F'), 3)
+        compiled.subtract_product(lower, np.zeros((3, 2), order='F'), 4)
     with pytest.raises(TypeError, match='integer'):
         compiled.diagonal_block(lower, 1.5, 2)
     assert_array_equal(compiled.diagonal_block(lower, np.int64(1), 2), np.eye(2))
@@ -265,6 +297,9 @@ STATES, JACOBIAN, R = np.array([[0, 1, 2, 2, 3]]), np.zeros((1, 2, 5)), np.zeros
     ('correction', (FULL, np.zeros((2, 4)), np.eye(3), np.zeros(2), 4)),
     ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 5)),
     ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 5)),
+    ('add_symmetric_product', (FULL, FULL, FULL, 5)),
+    ('add_symmetric_product', (FULL, FULL[:3], FULL[:3], 4)),
+    ('add_symmetric_product', (FULL, FULL, FULL[:, :2], 4)),
     ('retracted', (POSE, np.zeros(2), [2])), ('retracted', (POSE, POSE, [3])),
     ('retracted', (POSE, POSE, [-1]))])
 def test_arrays_of_other_shapes_are_refused(compiled, function, arguments):
