@@ -10,6 +10,7 @@ is the log-likelihood ratio of its innovation to an observation of an unknown ob
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from fej_slam_ros.core.ekf import numpy_kernel
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import JointState, Landmark, observation_columns, Robot
-from fej_slam_ros.core.geometry import Array, Indices
+from fej_slam_ros.core.geometry import Array, Indices, perpendicular
 from fej_slam_ros.core.records import Observation
 
 #: Squared distance from which a pair is no candidate; of correct pairs one in a million.
@@ -30,6 +31,9 @@ MAX_PAIR_D2 = float(chdtri(2, 1e-6))
 #: Maximum number of candidate pairs of a scan; with more, all of them are ambiguous. Bounds time
 #: and memory of the search.
 MAX_CANDIDATE_PAIRS = 200
+
+#: Mean square of theta^2 / 2 for a normal theta, in units of its squared variance.
+SECOND_ORDER = 0.75
 
 #: Indices of an observation and of a landmark.
 Pair = tuple[int, int]
@@ -162,29 +166,48 @@ def candidate_pairs(
     i, f = np.nonzero(distance2 < MAX_PAIR_D2 * (
         _trace_bounds(state, robot, H, columns) + trace_R[:, None]))
     near, f_near = np.unique(f, return_inverse=True)
-    HPH = H[near] @ state.covariance.blocks(columns[near]) @ H[near].transpose(0, 2, 1)
+    HP = H[near] @ state.covariance.blocks(columns[near])
+    second = _second_order_sigma(HP[:, :, 2])
+    HPH = HP @ H[near].transpose(0, 2, 1) + second[:, :, None] * second[:, None]
     is_candidate = squared_distances(r[i, f], HPH[f_near] + R[i]) < MAX_PAIR_D2
-    i, f = i[is_candidate], f[is_candidate]
+    i, f, second = i[is_candidate], f[is_candidate], second[f_near[is_candidate]]
     pairs = CandidatePairs(
         i, f, log_odds[f], 0.5 * np.log(np.linalg.det(R))[i], log_odds[f], r[i, f].T.ravel(),
         np.empty((0, 0)))
     if len(pairs) > MAX_CANDIDATE_PAIRS:
         return pairs
-    pairs = replace(pairs, S=_innovation_covariance(state, H[f], columns[f], R[i]))
+    S, common = _innovation_covariance(state, H[f], columns[f], R[i]), second.T.ravel()
+    pairs = replace(pairs, S=S + np.outer(common, common))
     d2, gains, _ = pairs.weights_given_others
     return replace(pairs, max_gain=gains + 0.5 * d2)
 
 
 def _trace_bounds(state: JointState, robot: Robot, H: Array, columns: Indices) -> Array:
     """
-    Return upper bounds (l,) of tr H P H^T of observations of l landmarks by a robot.
+    Return upper bounds (l,) of tr H P H^T, with its second-order term, of observations by a robot.
 
-    The variance of a sum is at most twice the sum of the variances, here of robot and landmark.
+    The variance of a sum is at most twice the sum of the variances, here of robot and landmark;
+    the square of a covariance is at most the product of the variances.
 
     """
-    of_robot = np.einsum('lij,jk,lik->l', H[:, :, :3], state.marginal([robot]), H[:, :, :3])
-    bounds: Array = 2.0 * (of_robot + state.covariance.variance_bounds(columns[:, 3:]))
+    P = state.marginal([robot])
+    of_robot = np.einsum('lij,jk,lik->l', H[:, :, :3], P, H[:, :, :3])
+    first_order = 2.0 * (of_robot + state.covariance.variance_bounds(columns[:, 3:]))
+    bounds: Array = (1.0 + SECOND_ORDER * P[2, 2]) * first_order
     return bounds
+
+
+def _second_order_sigma(covariances: Array) -> Array:
+    """
+    Return the second-order error (l, 2) of l innovations as that of one common standard normal.
+
+    An error theta of the heading, of variance s, turns an innovation by a theta, where a s is its
+    covariance with theta, H P e, (l, 2). The next term of the rotation is J a theta^2 / 2. It is
+    zero for landmarks that turn with the robot, and common to all observations of a scan.
+
+    """
+    sigma: Array = math.sqrt(SECOND_ORDER) * perpendicular(covariances)
+    return sigma
 
 
 def _innovation_covariance(state: JointState, H: Array, columns: Indices, R: Array) -> Array:
