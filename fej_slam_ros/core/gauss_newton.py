@@ -13,6 +13,9 @@ from fej_slam_ros.core.geometry import Array
 
 #: An increase of the cost by less than this fraction is attributed to rounding.
 COST_ROUNDING = 1e-12
+#: So is one by less than this fraction after an undamped step of which no larger decrease is
+#: predicted: precise measurements of large coordinates round the cost by so much.
+MAX_COST_ROUNDING = 1e-9
 #: Smallest damping other than zero, as a fraction of the diagonal of A^T A.
 MIN_DAMPING = 1e-6
 
@@ -75,7 +78,8 @@ class NielsenDamping:
 
     def accepts(self, before: float, after: float, decrease: float) -> bool:
         """Return whether a step lowered the cost, and set the damping of the next one."""
-        if after > before * (1.0 + COST_ROUNDING):
+        is_last = self.value == 0.0 and decrease < MAX_COST_ROUNDING * before
+        if after > before * (1.0 + (MAX_COST_ROUNDING if is_last else COST_ROUNDING)):
             self.rejected += 1
             self.value = max(self._growth * self.value, MIN_DAMPING)
             self._growth *= 2.0

@@ -67,6 +67,12 @@ def independent_minimum(problem, start):
     return values(found.x), 2.0 * found.cost
 
 
+def with_various_noise(factors, rng):
+    """Return factors with standard deviations divided by up to a million in each coordinate."""
+    scale = 10.0 ** rng.uniform(-6.0, 0.0, factors.z.shape)
+    return replace(factors, R=scale[:, :, None] * factors.R * scale[:, None, :])
+
+
 def assert_same(ours, theirs, **tolerance):
     assert_allclose(pose_difference(ours.poses, theirs.poses), 0.0, **tolerance)
     assert_allclose(ours.points, theirs.points, **tolerance)
@@ -345,6 +351,22 @@ def test_damping_ends_where_rounding_hides_the_gain_of_a_step():
 
     assert solution.rejected > 0
     assert_same(solution.values, solve(problem, truth).values, **SAME)
+
+
+@pytest.mark.parametrize('seed', [3, 11, 93])
+def test_the_iteration_ends_where_rounding_hides_whether_a_step_lowers_the_cost(seed):
+    # Standard deviations from 0.1 um to 0.2 m, at coordinates of some metres.
+    problem, truth = world(seed, robots=1, noise=1e-4)
+    rng = np.random.default_rng(seed)
+    problem = replace(
+        problem, odometry=with_various_noise(problem.odometry, rng),
+        landmarks=with_various_noise(problem.landmarks, rng))
+
+    solution = solve(problem, far_from(truth, seed, metres=0.01))
+
+    other = solve(problem, far_from(truth, seed + 1, metres=0.001))
+    assert_same(solution.values, other.values, rtol=0.0, atol=1e-8)
+    assert solution.cost == pytest.approx(other.cost, rel=1e-8)
 
 
 def test_a_step_that_is_small_because_of_damping_is_not_the_last(monkeypatch):
