@@ -139,7 +139,10 @@ def _joint_state(
     observed = {name: dict(scan).keys() for name, scan in scans.items() if name in solved.poses}
     for name, x in solved.poses.items():
         robot = before.robots.get(name)
-        variables.append(Robot(name, next(slots), stamp if robot is None else robot.stamp))
+        located = Robot(name, next(slots), stamp) if robot is None else at_slot(robot, next(slots))
+        if not solved.points.keys().isdisjoint(observed.get(name, ())):
+            located.turn_variance = 0.0
+        variables.append(located)
         first.append(x if robot is None else before.first_estimate(robot))
     for key, x in solved.points.items():
         landmark = before.landmarks.get(key)

@@ -94,6 +94,21 @@ def test_a_robot_with_known_start_may_see_nothing_while_others_are_located(kind)
     assert_allclose(state.marginal([state.robots['r3']]), P, atol=1e-15)
 
 
+def test_a_turn_before_step_0_counts_until_the_robot_observes_something():
+    # sqrt(3 * 0.05) rad are too uncertain, sqrt(0.05) rad since step 0 at 2 s would not be.
+    known = RobotSettings('r3', 3, tuple(POSES['r3']), (0.1, 0.2, 0.05))
+    stamps = [k * SECOND for k in range(4)]
+    records = [
+        *still(['r1', 'r2'], stamps), *look(stamps[2], r1=[0, 1], r2=[0, 1]),
+        *(Odometry('r3', t, np.zeros(3), np.diag([0.01, 0.01, 0.05])) for t in stamps),
+        *look(stamps[0], r3=[2, 3, 4]), *look(stamps[3], r3=[2, 3, 4])]
+
+    estimator, _ = estimate(records, ('r1', 'r2', known))
+
+    assert estimator.statistics.relocalized['r3'] == 1
+    assert_in_place(estimator, *POSES)
+
+
 def test_a_known_start_is_a_prior():
     # Headings exact: along x, r1 says the landmark is at 2, r2 that it is 1 behind r2, so r2 is
     # at 3 with variance 2; its start said 4 with variance 1.
