@@ -192,4 +192,4 @@ class Covariance:
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:
     """Return the indices of all states of the variables, in the order given."""
-    return np.concatenate([slot.indices for slot in slots])
+    return np.concatenate([np.empty(0, np.intp), *(slot.indices for slot in slots)])

@@ -524,6 +524,10 @@ def test_poses_landmarks_and_covariances_are_those_of_the_last_step():
     assert [(m.frame, m.robots, len(m)) for m in estimator.maps()] == [('map', ('r1', 'r2'), 3)]
 
 
+def test_the_joint_covariance_of_no_robots_is_empty():
+    assert Estimator(team()).joint_covariance().shape == (0, 0)
+
+
 def test_a_relative_pose_needs_both_robots_in_map():
     estimator, _ = run(team(), *both(0), scan('r1', 0, BY_ANCHOR), *both(100))
 
