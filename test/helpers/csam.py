@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Small teams with local maps and rendezvous."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from fej_slam_ros.core.csam.map_merging import join_maps
@@ -78,6 +80,12 @@ def in_another_frame(local, frame):
         np.array([compose(frame, pose) for pose in local.values.poses]),
         transform(frame, local.values.points))
     return LocalMap(local.robot, local.problem, values, local.landmarks)
+
+
+def with_exact_odometry(local):
+    """Return a map with odometry of no covariance, of which there is no information."""
+    odometry = replace(local.problem.odometry, R=np.zeros((3, 3)))
+    return replace(local, problem=replace(local.problem, odometry=odometry))
 
 
 def true_base_node(team, first, robot):

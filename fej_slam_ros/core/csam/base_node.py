@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import math
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky, qr, solve_triangular
+from scipy.linalg import block_diag, cholesky, LinAlgError, qr, solve_triangular
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
@@ -95,12 +95,23 @@ class Alignment:
 
 
 def square_root_information(P: Array) -> Array:
-    """Return the upper triangular R_sqrt (n, n) with R_sqrt^T R_sqrt = P^-1."""
+    """
+    Return the upper triangular R_sqrt (n, n) with R_sqrt^T R_sqrt = P^-1.
+
+    Raises
+    ------
+    SingularError
+        If P is not positive definite within rounding.
+
+    """
     if not len(P):
         # solve_triangular of scipy 1.11 rejects a matrix without rows.
         return P
     # P = U U^T with U upper triangular.
-    U = cholesky(P[::-1, ::-1], lower=True)[::-1, ::-1]
+    try:
+        U = cholesky(P[::-1, ::-1], lower=True)[::-1, ::-1]
+    except LinAlgError:
+        raise SingularError('the covariance of the poses of a rendezvous is singular') from None
     R_sqrt: Array = solve_triangular(U, np.eye(len(P)))
     return R_sqrt
 

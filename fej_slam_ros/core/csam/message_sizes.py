@@ -8,7 +8,6 @@ information suffice. These are smallest for a short rendezvous; the information 
 for a long one the log of all measurements is smaller. All forms lead to the same base node.
 """
 
-from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from itertools import permutations
 from typing import Any
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, RendezvousMeasurement
 from fej_slam_ros.core.csam.rendezvous_alignment import alignment_window
+from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.smoothing.least_squares import concatenated
 from fej_slam_ros.core.smoothing.marginals import Information
@@ -39,26 +39,37 @@ def sizes(
 
     The poses sent are those in the middle of all observations of the two robots, given in the
     order of time; `join_maps` aligns by the same ones if there was one rendezvous. A map is sent
-    once, with the poses for all receivers.
+    once, with the poses for all receivers. A sender is left out if its information is singular
+    within rounding.
 
     """
-    # Sizes do not depend on the values, and outliers of a map would keep it from a minimum.
-    joint = {local.robot: JointMap.unsolved(local) for local in maps}
     poses = _sent_poses(measurements)
-    for_all: defaultdict[str, list[Indices]] = defaultdict(list)
-    for (sender, _), window_poses in poses.items():
-        for_all[sender].append(window_poses)
-    size_of_map, information = {}, {}
-    for sender, of_pairs in for_all.items():
-        local, of_all = joint[sender], np.unique(np.concatenate(of_pairs))
-        size_of_map[sender] = len(message('map', local, of_all))
-        # Factored once for all receivers.
-        information[sender] = local.information([*local.problem.fixed_poses, *of_all])
+    of_all: dict[tuple[str, str], dict[str, int]] = {}
+    for local in maps:
+        of_sender = {pair: sent for pair, sent in poses.items() if pair[0] == local.robot}
+        try:
+            # Sizes do not depend on the values, and outliers would keep a map from a minimum.
+            of_all |= _sizes_of_sender(JointMap.unsolved(local), of_sender)
+        except SingularError:
+            continue
+    return {pair: of_all[pair] for pair in poses if pair in of_all}
+
+
+def _sizes_of_sender(
+    local: JointMap, poses: Mapping[tuple[str, str], Indices]
+) -> dict[tuple[str, str], dict[str, int]]:
+    """Return the sizes of the messages of a robot, given the poses (k,) that it sends."""
+    if not poses:
+        return {}
+    sent = np.unique(np.concatenate([*poses.values()]))
+    size_of_map = len(message('map', local, sent))
+    # Factored once for all receivers.
+    information = local.information([*local.problem.fixed_poses, *sent])
     return {
-        (sender, receiver): {
-            'subset': len(_packed(_subset(joint[sender], of_pair, information[sender]))),
-            'log': len(message('log', joint[sender], of_pair)), 'map': size_of_map[sender]}
-        for (sender, receiver), of_pair in poses.items()}
+        pair: {
+            'subset': len(_packed(_subset(local, of_pair, information))),
+            'log': len(message('log', local, of_pair)), 'map': size_of_map}
+        for pair, of_pair in poses.items()}
 
 
 def _sent_poses(measurements: Measurements) -> dict[tuple[str, str], Indices]:

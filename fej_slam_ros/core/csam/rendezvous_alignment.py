@@ -13,6 +13,7 @@ from fej_slam_ros.core.csam.base_node import (
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, MIN_PER_OUTLIER, Rendezvous
+from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.marginals import Information
@@ -106,7 +107,11 @@ class RendezvousAligner:
         self, p: JointMap, q: JointMap, window: Measurements
     ) -> BaseNode | JoinFailure:
         """Return that of q in p by Algorithm 1, if the observations fit the maps."""
-        aligned = align(*rendezvous_between(p, q, window, self._information_of))
+        try:
+            ends = rendezvous_between(p, q, window, self._information_of)
+        except SingularError as error:
+            return JoinFailure(f'cannot align: {error}')
+        aligned = align(*ends)
         if isinstance(aligned, JoinFailure):
             return aligned
         failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)

@@ -100,12 +100,12 @@ def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
         return None
     try:
         local, index = _local_map(task.settings, measurements, seen_at)
+        stamps = sorted(seen_at & index.keys())
+        if not stamps:
+            return None
+        information = local.rendezvous_information(np.array([index[t] for t in stamps], np.intp))
     except NoMinimumError:
         return None
-    stamps = sorted(seen_at & index.keys())
-    if not stamps:
-        return None
-    information = local.rendezvous_information(np.array([index[t] for t in stamps], np.intp))
     sent = WindowInformation(
         (*stamps, *_start_stamp(information, index, stamps)), information,
         tuple(scan for scan in own if scan.stamp in index))

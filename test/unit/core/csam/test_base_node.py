@@ -11,10 +11,11 @@ import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
 from fej_slam_ros.core.csam import maps
-from fej_slam_ros.core.csam.base_node import align
+from fej_slam_ros.core.csam.base_node import align, square_root_information
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
+from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.join_failure import JoinFailure
 from helpers.core import turn
@@ -210,3 +211,8 @@ def test_outliers_are_inconsistent_with_the_maps():
 
     failure = JoinRules(probability=ACCEPTED).inconsistency(found.chi_square, found.dof)
     assert re.match(r'inconsistent \(chi-square \d+\.\d with 9 deg', failure.reason)
+
+
+def test_a_singular_covariance_has_no_square_root_information():
+    with pytest.raises(SingularError):
+        square_root_information(np.ones((2, 2)))

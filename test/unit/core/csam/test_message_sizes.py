@@ -9,7 +9,7 @@ import pytest
 from fej_slam_ros.core.csam.base_node import align
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.message_sizes import message, MESSAGE_FORMS, sizes, smallest
-from helpers.csam import in_another_frame, Met, rendezvous_of
+from helpers.csam import in_another_frame, Met, rendezvous_of, with_exact_odometry
 from helpers.messages import received
 
 MET = [(0, 1, k) for k in range(3, 9)]
@@ -56,3 +56,12 @@ def test_the_log_is_smallest_for_a_long_rendezvous():
     messages = sizes(team.maps, team.measurements)['r2', 'r1']
 
     assert smallest(messages) == 'log'
+
+
+def test_a_robot_with_singular_information_sends_nothing_and_the_others_do():
+    team = Met(4, MET)
+    expected = sizes(team.maps, team.measurements)
+
+    found = sizes([team.maps[0], with_exact_odometry(team.maps[1])], team.measurements)
+
+    assert found == {('r1', 'r2'): expected['r1', 'r2']}

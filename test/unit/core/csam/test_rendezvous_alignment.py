@@ -8,9 +8,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.csam.map_merging import join_maps
+from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import compose, inverse, transform, transform_poses
 from fej_slam_ros.core.records import NS
-from helpers.csam import joined_maps, Met, true_base_node
+from helpers.csam import joined_maps, Met, true_base_node, with_exact_odometry
 
 
 def with_false_steps(team, steps):
@@ -76,3 +78,15 @@ def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps()
     (expected,), *_ = joined_maps(team.maps, [m for m in team.measurements if m.pose < 9])
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
     assert [failure.robots for failure in failed] == [('r1', 'r2')]
+
+
+def test_a_map_with_singular_information_stays_alone_while_the_others_are_joined():
+    team = Met(9, [(a, 2, k) for a in (0, 1) for k in SESSIONS[0]], robots=3)
+    p, q, r = map(JointMap.of, team.maps)
+    without = replace(q, problem=JointMap.unsolved(with_exact_odometry(team.maps[1])).problem)
+
+    maps, failed, _ = join_maps([p, without, r], team.measurements)
+
+    assert [joint.robots for joint in maps] == [('r1', 'r3'), ('r2',)]
+    assert [failure.robots for failure in failed] == [('r2', 'r3')]
+    assert 'cannot align' in failed[0].reason
