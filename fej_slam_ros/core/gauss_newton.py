@@ -93,12 +93,20 @@ class NielsenDamping:
                 self.value = 0.0
         return True
 
+    def end(self) -> None:
+        """Damp no more until a step fails again."""
+        self.value, self._growth = 0.0, 2.0
+
 
 def gauss_newton(
     problem: LeastSquares[X, L], x: X, max_iterations: int, damping: NielsenDamping | None = None
 ) -> tuple[X, L, int]:
     """
     Return the minimum reached from x, the last linearisation, and the number of steps.
+
+    An undamped step that raises the cost is taken together with another one, as one step, if that
+    lowers it: along a narrow, curved valley, as of a robot that hardly slips sideways, the first
+    leaves the valley and the second returns to it, while damped steps hardly move.
 
     Raises
     ------
@@ -116,4 +124,19 @@ def gauss_newton(
         next_at = problem.linearize(x_next)
         if damping is None or damping.accepts(at.cost, next_at.cost, decrease):
             x, at = x_next, next_at
+        elif value == 0.0:
+            x_after, after = _another_step(problem, x_next, next_at)
+            if after.cost < at.cost:
+                x, at = x_after, after
+                damping.end()
     raise ConvergenceError(f'least squares did not converge in {max_iterations} iterations')
+
+
+def _another_step(problem: LeastSquares[X, L], x: X, at: L) -> tuple[X, L]:
+    """Return where an undamped step from x leads, or x itself if there is none."""
+    try:
+        dx, _ = problem.step(at, 0.0)
+    except SingularError:
+        return x, at
+    x_next = problem.retract(x, dx)
+    return x_next, problem.linearize(x_next)
