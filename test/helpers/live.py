@@ -117,7 +117,7 @@ class Domain:
         with TemporaryDirectory() as folder:
             path = write_parameters(Path(folder) / 'parameters.yaml', **values)
             self._init(['--ros-args', '--params-file', str(path), *ros_args])
-            self._estimator = self._added(EstimatorNode(self._stack.enter_context(Stop())))
+            self._estimator = self._added(EstimatorNode(Stop()))
         return self._estimator
 
     def has_publisher(self, topic):

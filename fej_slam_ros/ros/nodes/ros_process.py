@@ -5,10 +5,8 @@
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
-import os
 from pathlib import Path
 import re
-import select
 from time import monotonic
 
 import rclpy
@@ -36,25 +34,11 @@ RULE_FORMS = {
 
 
 class Stop:
-    """
-    A request to end the process, which a signal handler may set.
-
-    Unlike with threading.Event, a handler that interrupts `wait` in the same thread cannot block
-    for ever on a lock that `wait` holds.
-
-    """
+    """A request to end the process, which a signal handler may set."""
 
     def __init__(self) -> None:
         self._set_at: float | None = None
         self._is_urgent = False
-        self._reader, self._writer = os.pipe()
-
-    def __enter__(self) -> 'Stop':
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self._reader)
-        os.close(self._writer)
 
     def is_set(self) -> bool:
         """Return whether the end is requested."""
@@ -64,7 +48,6 @@ class Stop:
         """Request the end."""
         if self._set_at is None:
             self._set_at = monotonic()
-            os.write(self._writer, b'.')
 
     def is_overdue(self) -> bool:
         """Return whether no further step is to be processed before the end."""
@@ -83,10 +66,6 @@ class Stop:
         """Request the end without waiting for other processes."""
         self._is_urgent = True
         self.set()
-
-    def wait(self, timeout: float) -> None:
-        """Wait until the end is requested, at most for a timeout [s]."""
-        select.select([self._reader], [], [], timeout)
 
     def _lasts_longer_than(self, duration: float) -> bool:
         return self._set_at is not None and monotonic() - self._set_at > duration
@@ -108,7 +87,8 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
         for path in _parameter_files(ros_args):
             check_for_ros(path)
         raise UsageError(f'ROS does not accept {_refused_argument(error)}') from None
-    with Stop() as stopped, handled(stopped.set, stopped.set_urgent):
+    stopped = Stop()
+    with handled(stopped.set, stopped.set_urgent):
         try:
             yield stopped
         finally:

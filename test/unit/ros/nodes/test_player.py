@@ -72,8 +72,7 @@ def test_a_late_subscriber_gets_the_static_transforms_of_all_nodes(domain, node)
     # Any type will do: tf2_msgs is not on PyPI.
     sent = [raw('tf_static', odometry_message(ms), received_ms=0) for ms in (1, 2, 3)]
     playing = player.Player(node, {'tf_static': ODOMETRY}, ['tf_static'])
-    with process.Stop() as stopped:
-        playing.play(sent, stopped)
+    playing.play(sent, process.Stop())
 
     heard = []
     domain.node.create_subscription(
@@ -109,8 +108,7 @@ def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):
 
     # It works only if the node spins.
     node.create_timer(0.01, tick)
-    with process.Stop() as stopped:
-        waiting.wait_for_subscribers(stopped)
+    waiting.wait_for_subscribers(process.Stop())
 
     assert next(ticks) > 3
 
@@ -119,9 +117,9 @@ def test_a_topic_without_subscriber_is_named_with_the_way_to_begin_without(
         node, monkeypatch, capfd):
     monkeypatch.setattr(player, 'REMINDER_PERIOD', 0.0)
     waiting = player.Player(node, {'imu': ODOMETRY})
-    with process.Stop() as stopped:
-        node.create_timer(0.1, stopped.set)
-        waiting.wait_for_subscribers(stopped)
+    stopped = process.Stop()
+    node.create_timer(0.1, stopped.set)
+    waiting.wait_for_subscribers(stopped)
 
     assert 'waiting for subscribers of imu; to begin without them, give --no-wait' in (
         capfd.readouterr().err)
@@ -133,10 +131,9 @@ def test_the_node_spins_even_if_playback_is_too_slow_to_wait(node):
     ticks, began = [], monotonic()
     node.create_timer(0.01, lambda: ticks.append(monotonic()))
 
-    with process.Stop() as stopped:
-        # All messages are due at once, and the last comes once the timer has fired.
-        playing.play(takewhile(
-            lambda _: len(ticks) < 3 and monotonic() < began + 30.0, repeat(message)), stopped)
+    # All messages are due at once, and the last comes once the timer has fired.
+    playing.play(takewhile(
+        lambda _: len(ticks) < 3 and monotonic() < began + 30.0, repeat(message)), process.Stop())
 
     assert len(ticks) == 3
 
@@ -166,8 +163,7 @@ def test_playing_takes_the_length_of_the_bag_divided_by_the_rate(node):
     topics = {'r1/odom': messages[0].type_name}
 
     began = monotonic()
-    with process.Stop() as stopped:
-        player.Player(node, topics, rate=100.0).play(messages, stopped)
+    player.Player(node, topics, rate=100.0).play(messages, process.Stop())
 
     assert 0.2 <= monotonic() - began < 20.0
 
@@ -179,8 +175,7 @@ def test_the_clock_goes_on_between_messages_and_ends_at_the_last(domain, node):
     playing = player.Player(node, topics, rate=4.0, clock=True)
     domain.until(lambda: domain.node.count_publishers('/clock'))
 
-    with process.Stop() as stopped:
-        playing.play(messages, stopped)
+    playing.play(messages, process.Stop())
     domain.until(lambda: ticks and ticks[-1].clock.sec == 2)
 
     times = [tick.clock.sec + 1e-9 * tick.clock.nanosec for tick in ticks]
