@@ -9,11 +9,11 @@ from typing import Generic, NamedTuple
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.session.input_faults import reasons_in_words
 from fej_slam_ros.ros.session.input_health import TopicFlow
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.inputs import Inputs, MEASUREMENT_TOPICS
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity, RepeatableLines
 from fej_slam_ros.ros.session.outputs import ConsumerT
-from fej_slam_ros.ros.session.rejected_topics import RejectedTopics
 
 #: Maximum number of lines that wait to be written; a run without a node writes none.
 MAX_LINES = 1000
@@ -60,7 +60,7 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._stale: dict[str, int] = {}
         self._paused_at: int | None = None  # time of the newest odometry [ns]
         self._has_jumped = False
-        self._rejected_topics = RejectedTopics()
+        self._rejected_topics: set[str] = set()  # of which all messages are rejected
         self._repeatable = RepeatableLines()
         self._missing: Sequence[str] = ()
         self._reminders = 0
@@ -84,8 +84,8 @@ class RunLog(ABC, Generic[ConsumerT]):
 
     def check(self, now: int) -> None:
         """Add the lines of input that stopped or is back, and of a jump, at a time [ns]."""
-        health = self._inputs.health
-        flows = {robot: health.flow(robot, 'odom') for robot in self._consumer.robots}
+        flows = {
+            robot: self._inputs.health.flow(robot, 'odom') for robot in self._consumer.robots}
         # Odometry of later times is from before a clock that went back.
         times = [
             flow.last for flow in flows.values() if flow.last is not None and flow.last <= now]
@@ -94,8 +94,10 @@ class RunLog(ABC, Generic[ConsumerT]):
             for robot, flow in flows.items():
                 # Robots that all stop at once are no fault of one of them.
                 self._note_stale(robot, flow, max(times))
-        self._lines.extend(self._rejected_topics.lines(
-            health, self._consumer.robots, now, self.topic_name))
+        for robot in self._consumer.robots:
+            for kind in MEASUREMENT_TOPICS:
+                self._note_rejected_topic(
+                    f'{robot}/{kind}', self._inputs.health.flow(robot, kind), now)
         self._note_jump()
 
     def remind(self, faults: Mapping[str, str] | None) -> None:
@@ -152,6 +154,18 @@ class RunLog(ABC, Generic[ConsumerT]):
         elif robot in self._stale and not is_stale:
             gap = (flow.last or 0) - self._stale.pop(robot)
             self.add(LogSeverity.INFO, f'{robot} is back: odometry after {gap / NS:.1f} s')
+
+    def _note_rejected_topic(self, topic: str, flow: TopicFlow, now: int) -> None:
+        is_rejected = flow.are_all_rejected(now) and not flow.is_sent_again()
+        if is_rejected and topic not in self._rejected_topics:
+            self._rejected_topics.add(topic)
+            self.add(LogSeverity.WARN, (
+                f'all messages on {self.topic_name(topic)} are rejected:'
+                f' {reasons_in_words(flow.rejected_in_a_row)}'))
+        elif topic in self._rejected_topics and not flow.rejected_in_a_row:
+            self._rejected_topics.remove(topic)
+            self.add(
+                LogSeverity.INFO, f'messages on {self.topic_name(topic)} are accepted again')
 
     def _note_rejected_priors(self) -> None:
         rejected = self._inputs.health.rejected_priors
