@@ -30,7 +30,7 @@ from fej_slam_ros.ros.session.frames import STATIC_TF
 from fej_slam_ros.ros.session.inputs import (
     CLOUD, INITIALPOSE, ROBOT_TOPICS, TF_TYPE, TRUE_LANDMARKS)
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
-from fej_slam_ros.ros.session.outputs import ROBOT_TYPES, TF_TOPIC, tf_topic, TYPES
+from fej_slam_ros.ros.session.outputs import ROBOT_TYPES, TF_TOPIC, TYPES
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE
 from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 
@@ -395,7 +395,7 @@ def _output_rows() -> Iterator[Sequence[str]]:
     pair = relative_topic(ROBOT_NAME, '<other>')
     of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_TYPES.items()}
     of_estimator |= {f'{ROBOT_NAME}/{kind}': name for kind, name in PREDICTED_TYPES.items()}
-    transforms = dict.fromkeys((TF_TOPIC, tf_topic(ROBOT_NAME)), TF_TYPE)
+    transforms = dict.fromkeys((TF_TOPIC, f'{ROBOT_NAME}/tf'), TF_TYPE)
     of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, **transforms}
     of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in SMOOTHED_ROBOT_TYPES.items()}
     of_smoother |= {**TEAM_TYPES, **transforms}

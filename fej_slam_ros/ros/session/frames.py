@@ -52,11 +52,6 @@ class FrameNames:
         self._newest: dict[str, str] = {}
         self._children: defaultdict[str, set[str]] = defaultdict(set)
 
-    @property
-    def map_frame(self) -> str:
-        """Return the name of the frame ``map`` in messages."""
-        return self._map_frame
-
     def static_topics(self, robot: str) -> list[str]:
         """Return the topics of the static transforms of a robot, its own first."""
         own = [] if self._tf_topics == 'shared' else [f'{robot}/{STATIC_TF}']

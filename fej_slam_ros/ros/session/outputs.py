@@ -65,11 +65,6 @@ class MapEstimate:
     P: Array  #: (n, 2, 2) array, their covariances [m^2]
 
 
-def tf_topic(robot: str) -> str:
-    """Return the topic of the transforms of one robot."""
-    return f'{robot}/tf'
-
-
 class Outputs(ABC, Generic[ConsumerT]):
     """
     Converts results of an estimator or a smoother to messages.
@@ -143,7 +138,7 @@ class Outputs(ABC, Generic[ConsumerT]):
                 [(index, drawn[name], self._drawn_path(name))
                  for index, name in enumerate(self._consumer.robots) if name in drawn],
                 [(map_estimate.frame, map_estimate.points, map_estimate.P)
-                 for map_estimate in maps], self._frames.map_frame)
+                 for map_estimate in maps], self._frames.published(MAP))
 
     def cleared_maps(self, kept: Collection[str] = ()) -> Iterator[Publication]:
         """Yield an empty map for each published one that is no longer kept, by its frame."""
@@ -178,9 +173,8 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     def _tf_of(self, robot: str) -> Sequence[str]:
         """Return the topics of the transform of a robot."""
-        if self._tf_topics == 'shared':
-            return (TF_TOPIC,)
-        topics = {'robot': (tf_topic(robot),), 'both': (TF_TOPIC, tf_topic(robot))}
+        own = f'{robot}/tf'
+        topics = {'shared': (TF_TOPIC,), 'robot': (own,), 'both': (TF_TOPIC, own)}
         return topics.get(self._tf_topics, ())
 
     def _post_date(self) -> int:
