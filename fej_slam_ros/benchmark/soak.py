@@ -15,7 +15,6 @@ from fej_slam_ros.core.records import NS, Scan
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.percentiles import percentiles
 
@@ -47,7 +46,6 @@ class SoakMinute:
 def soak(minutes: int) -> list[SoakMinute]:
     """Run five robots for some simulated minutes and return the statistics of each minute."""
     run = EstimatorSession(parameters.parse({'robots': SOAK_ROBOTS}), None)
-    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
     finished: list[SoakMinute] = []
     times: list[float] = []
     due = simulation.FIRST_STAMP + NS
@@ -58,7 +56,7 @@ def soak(minutes: int) -> list[SoakMinute]:
         if now < due:
             continue
         maps = run.outputs.maps_and_paths(lambda _: True)
-        for _, output in [*maps, diagnostics.report(now, False)]:
+        for _, output in [*maps, run.diagnostics.report(now, False)]:
             serialize(output)
         due += NS
         if (now - simulation.FIRST_STAMP) % MINUTE == 0:

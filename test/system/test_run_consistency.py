@@ -8,7 +8,6 @@ import pytest
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import with_scaled_noise
 from helpers.ros import raw_record, run_settings, through_cdr
@@ -20,7 +19,6 @@ def reports(seed, seconds, noise_told_as=1.0):
     """Yield level and sentence of robots and filter after each second of a simulated run."""
     simulated = simulation.parse({'seed': seed, 'loops': -(-5 * seconds // 63)})
     run = EstimatorSession(run_settings(), None)
-    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
     due = simulation.FIRST_STAMP + NS
     end = simulation.FIRST_STAMP + seconds * NS
     for record in takewhile(lambda record: record.stamp <= end, simulated.records()):
@@ -29,7 +27,7 @@ def reports(seed, seconds, noise_told_as=1.0):
             pass
         if record.stamp >= due:
             due += NS
-            _, report = diagnostics.report(record.stamp, at_rest=False)
+            _, report = run.diagnostics.report(record.stamp, at_rest=False)
             yield [(status.level, status.message) for status in through_cdr(report).status]
 
 

@@ -62,10 +62,13 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
     Parameters
     ----------
-    clock_limit : difference of stamps and clock of reception above which to warn [s]; may change
+    consumer : estimator or smoother
+    inputs : its inputs
+    settings : of the node
 
     Attributes
     ----------
+    settings : of the node, others once parameters have changed
     step_times : durations [s] of the steps since the last report, added by the caller
     latencies : delays [s] of the poses published since, from stamp to publication, likewise
     callback_times : durations [s] of the callbacks since, which block all others, likewise
@@ -80,12 +83,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
     node_name = ''
 
-    def __init__(
-        self, consumer: ConsumerT, inputs: Inputs, clock_limit: float = NodeSettings.clock_limit
-    ) -> None:
+    def __init__(self, consumer: ConsumerT, inputs: Inputs, settings: NodeSettings) -> None:
         self._consumer = consumer
         self._inputs = inputs
-        self.clock_limit = clock_limit
+        self.settings = settings
         self._received: Counter[str] = Counter()
         self._reported_at: int | None = None
         self.step_times: deque[float] = deque(maxlen=MAX_TIMES)
@@ -193,7 +194,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     def _with_clock(self, robot: str, level: Level, message: str) -> tuple[Level, str]:
         """Add a warning to level and message if stamps and the clock of reception differ."""
         delay = self._inputs.clock_offsets.delay(robot) or 0
-        if abs(delay) <= self.clock_limit * NS:
+        if abs(delay) <= self.settings.clock_limit * NS:
             return level, message
         side = 'behind' if delay > 0 else 'ahead of'
         warning = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'

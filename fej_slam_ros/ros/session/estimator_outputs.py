@@ -91,7 +91,8 @@ class EstimatorOutputs(Outputs[Estimator]):
                 relative = self._consumer.relative_pose(*pair)
                 if relative is not None:
                     yield relative_topic(*pair), outgoing.relative_pose(
-                        relative, self._frames.base(relative.observer), self.unused_variance)
+                        relative, self._frames.base(relative.observer),
+                        self.settings.unused_variance)
         yield from self._step_transforms(result, is_wanted)
         if result.joined and is_wanted(JOINT_COVARIANCE_TOPIC):
             yield JOINT_COVARIANCE_TOPIC, outgoing.joint_covariance(

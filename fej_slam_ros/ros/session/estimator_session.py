@@ -72,8 +72,7 @@ class EstimatorSession(Session):
         self.consumer = self.estimator
         self.inputs.initialpose_robot = self.estimator.settings.initialpose_robot
         self.outputs = outputs(self.estimator, self.inputs, settings.node)
-        self.diagnostics = EstimatorDiagnostics(
-            self.estimator, self.inputs, settings.node.clock_limit)
+        self.diagnostics = EstimatorDiagnostics(self.estimator, self.inputs, settings.node)
         self.log = EstimatorLog(self.estimator, self.inputs)
         self._files = None if folder is None else open_files(
             folder, self.estimator.robots, force)

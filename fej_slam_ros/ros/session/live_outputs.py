@@ -75,17 +75,15 @@ class LiveOutputs(EstimatorOutputs):
     def _messages(
         self, predicted: PoseEstimate, record: Odometry, message: Message, is_wanted: IsWanted
     ) -> Iterator[Publication]:
-        topic = f'{record.robot}/predicted_pose'
-        if is_wanted(topic):
-            yield topic, outgoing.pose(self._frames.renamed(predicted), self.unused_variance)
+        if is_wanted(f'{record.robot}/predicted_pose'):
+            yield self.of_pose(predicted, 'predicted_pose')
         topic = f'{record.robot}/odometry/filtered'
         if is_wanted(topic):
             yield topic, outgoing.fused_odometry(
                 self._frames.renamed(predicted), self._frames.base(record.robot), message,
-                self.unused_variance)
+                self.settings.unused_variance)
         yield from self._transforms(
-            [predicted], {record.robot: record.pose}, is_wanted,
-            self._post_date())
+            [predicted], {record.robot: record.pose}, is_wanted, self._post_date())
 
     def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
         return iter(())

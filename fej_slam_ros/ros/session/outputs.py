@@ -78,9 +78,7 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     Attributes
     ----------
-    unused_variance : of z, roll and pitch in published covariances [m^2, rad^2]; may change
-    transform_tolerance : duration [s] by which the transforms of a live run are post-dated; may
-        change
+    settings : of the node, others once parameters have changed
 
     """
 
@@ -93,8 +91,7 @@ class Outputs(ABC, Generic[ConsumerT]):
     ) -> None:
         self._consumer = consumer
         self._frames = inputs.frames
-        self.unused_variance = settings.unused_variance
-        self.transform_tolerance = settings.transform_tolerance
+        self.settings = settings
         self._tf_topics = settings.tf_topics if publishes_tf else ''
         # Frames of which a map was published.
         self._mapped: set[str] = set()
@@ -107,10 +104,10 @@ class Outputs(ABC, Generic[ConsumerT]):
             for name in self._consumer.robots for kind, type_name in self.robot_types.items()
         } | {topic: TF_TYPE for name in self._consumer.robots for topic in self._tf_of(name)}
 
-    def of_pose(self, estimate: PoseEstimate) -> Publication:
-        """Return the message of a pose."""
-        return f'{estimate.robot}/pose', outgoing.pose(
-            self._frames.renamed(estimate), self.unused_variance)
+    def of_pose(self, estimate: PoseEstimate, kind: str = 'pose') -> Publication:
+        """Return the message of a pose, on a topic of its robot by the last part of its name."""
+        return f'{estimate.robot}/{kind}', outgoing.pose(
+            self._frames.renamed(estimate), self.settings.unused_variance)
 
     def maps_and_paths(self, is_wanted: IsWanted) -> Iterator[Publication]:
         """Yield maps, and paths and markers if their topics are wanted; not for every step."""
@@ -179,7 +176,7 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     def _post_date(self) -> int:
         """Return the duration [ns] by which the transforms of a live run are post-dated."""
-        return round(self.transform_tolerance * NS)
+        return round(self.settings.transform_tolerance * NS)
 
     @abstractmethod
     def _newest(self) -> Mapping[str, PoseEstimate]:

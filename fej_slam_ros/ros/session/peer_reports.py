@@ -13,6 +13,7 @@ from fej_slam_ros.core.peers.messages import MessageRejection
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import RendezvousResult
 from fej_slam_ros.ros.messages import Message, outgoing
+from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.input_faults import Fault, Level
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogSeverity
@@ -43,9 +44,9 @@ class PeerDiagnostics(SmootherDiagnostics):
     _consumer: PeerSmoother
 
     def __init__(
-        self, team: PeerSmoother, inputs: Inputs, clock_limit: float, exchange: PeerExchange
+        self, team: PeerSmoother, inputs: Inputs, settings: NodeSettings, exchange: PeerExchange
     ) -> None:
-        super().__init__(team, inputs, clock_limit)
+        super().__init__(team, inputs, settings)
         self._exchange = exchange
         # Rejected messages of each robot at the last report.
         self._rejected_before: dict[str, Counter[MessageRejection]] = {}

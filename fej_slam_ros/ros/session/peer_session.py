@@ -75,10 +75,9 @@ class PeerOutputs(SmootherOutputs):
         """Yield the pose of the map of another robot, if it is known by their rendezvous."""
         if not isinstance(result.alignment, JoinFailure):
             base = result.alignment.base_node
-            estimate = PoseEstimate(
-                peer, result.stamp, own_frame(self._consumer.robot), base.pose, base.P)
-            yield f'{peer}/base_node', outgoing.pose(
-                self._frames.renamed(estimate), self.unused_variance)
+            frame = own_frame(self._consumer.robot)
+            yield self.of_pose(
+                PoseEstimate(peer, result.stamp, frame, base.pose, base.P), 'base_node')
 
 
 class PeerSession(SmootherSession):
@@ -128,8 +127,7 @@ class PeerSession(SmootherSession):
         self.consumer = self.team = PeerSmoother(settings, own.name, logs, solve_every)
         self.inputs = PeerInputs(self.team, node)
         self.outputs = PeerOutputs(self.team, self.inputs, node)
-        self.diagnostics = PeerDiagnostics(
-            self.team, self.inputs, node.clock_limit, self._exchange)
+        self.diagnostics = PeerDiagnostics(self.team, self.inputs, node, self._exchange)
         self.log = PeerLog(self.team, self.inputs, self._exchange)
         # What was known of the rendezvous with each robot, and when its computation ended, or when
         # the pause after one that failed ends; a computation of one is followed by a solution, if

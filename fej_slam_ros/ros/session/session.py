@@ -150,9 +150,7 @@ class Session(ABC):
     def change_node_settings(self, node: NodeSettings) -> None:
         """Use other settings of the node, of which only changeable parameters may differ."""
         self.settings = replace(self.settings, node=node)
-        self.outputs.unused_variance = node.unused_variance
-        self.outputs.transform_tolerance = node.transform_tolerance
-        self.diagnostics.clock_limit = node.clock_limit
+        self.outputs.settings = self.diagnostics.settings = node
 
     def check(self, now: int | None) -> None:
         """Log stale robots and missing input at a time [ns]; it is None without a clock."""

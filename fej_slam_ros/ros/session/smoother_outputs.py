@@ -9,7 +9,6 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import (
@@ -62,11 +61,10 @@ class SmootherOutputs(Outputs[TeamSmoother]):
         """Yield the base nodes of the maps of a new solution."""
         for solved in self._consumer.solution.maps:
             for name, base in solved.base_nodes.items():
-                if name not in self._consumer.robots:
-                    continue
-                estimate = PoseEstimate(name, self._stamp(), solved.frame, base.pose, base.P)
-                yield f'{name}/base_node', outgoing.pose(
-                    self._frames.renamed(estimate), self.unused_variance)
+                if name in self._consumer.robots:
+                    yield self.of_pose(
+                        PoseEstimate(name, self._stamp(), solved.frame, base.pose, base.P),
+                        'base_node')
 
     def _newest(self) -> Mapping[str, PoseEstimate]:
         if not self._consumer.solution.maps:

@@ -96,7 +96,7 @@ class SmootherSession(Session):
             self.inputs = Inputs(self.team, node)
         self.consumer = self.team
         self.outputs = SmootherOutputs(self.team, self.inputs, node)
-        self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node.clock_limit)
+        self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node)
         self.log = SmootherLog(self.team, self.inputs)
 
     def check_starts(self, messages: MissedMessages) -> None:

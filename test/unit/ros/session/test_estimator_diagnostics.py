@@ -66,13 +66,12 @@ def test_the_input_statistics_of_a_robot_are_reported():
 
 def test_the_rate_refers_to_the_time_since_the_last_report():
     run = EstimatorSession(run_settings(), None)
-    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
 
     rates = []
     for now, count in ((NOW, 4), (2 * NOW, 8), (3 * NOW, 0)):
         for k in range(count):
             run.receive(raw('r1/odom', odometry_message((now + k) / 1e6)))
-        rates.append(statuses(diagnostics, now)['r1'][2]['rate_hz'])
+        rates.append(statuses(run.diagnostics, now)['r1'][2]['rate_hz'])
 
     assert rates == ['0.0', '4.0', '0.0']
 
@@ -197,7 +196,7 @@ def test_errors_against_ground_truth_are_those_of_the_summary():
     run = EstimatorSession(run_settings(anchor_sigma=(0.1, 0.1, 0.1)), None)
     drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
 
-    report = statuses(EstimatorDiagnostics(run.estimator, run.inputs), NOW)
+    report = statuses(run.diagnostics, NOW)
 
     expected = estimator_summary(run.estimator, run.inputs, run.settings)
     for name in ('r1', 'r2'):
@@ -211,7 +210,7 @@ def test_the_latest_nees_is_that_of_the_latest_pose():
     run = EstimatorSession(run_settings(anchor_sigma=(0.1, 0.1, 0.1)), None)
     published = drive(run, map(raw_record, [*meeting_truth(), *meeting()]))
 
-    _, _, values = statuses(EstimatorDiagnostics(run.estimator, run.inputs), NOW)['r2']
+    _, _, values = statuses(run.diagnostics, NOW)['r2']
 
     *_, last = (through_cdr(message).pose for topic, message in published if topic == 'r2/pose')
     place, turn = last.pose.position, last.pose.orientation
@@ -261,7 +260,7 @@ def test_a_result_that_depended_on_arrival_is_a_warning():
 def test_the_filter_reports_its_size_its_step_times_and_its_state_hash():
     run = EstimatorSession(run_settings(), None)
     drive(run, MEETING)
-    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
+    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs, run.settings.node)
     diagnostics.step_times += [0.25, 0.5, 0.125]
     diagnostics.latencies += [0.75]
 
@@ -296,10 +295,9 @@ def test_observations_without_ids_are_counted_by_outcome():
 
 def test_files_that_cannot_be_written_are_an_error_with_its_reason():
     run = EstimatorSession(run_settings(), None)
-    diagnostics = EstimatorDiagnostics(run.estimator, run.inputs)
-    diagnostics.file_errors = {'checkpoint': 'cannot write it: No space left on device'}
+    run.diagnostics.file_errors = {'checkpoint': 'cannot write it: No space left on device'}
 
     run.receive(raw_record(odometry('r1', 0)))
-    level, message, _ = statuses(diagnostics, 0)['files']
+    level, message, _ = statuses(run.diagnostics, 0)['files']
 
     assert (level, message) == (2, 'cannot write it: No space left on device')
