@@ -38,7 +38,7 @@ from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD
 from fej_slam_ros.ros.session.inputs import TF_TYPE
-from fej_slam_ros.ros.session.late_starts import NothingMissed
+from fej_slam_ros.ros.session.late_starts import StartCheck
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 from fej_slam_ros.ros.session.session import Session
 
@@ -282,7 +282,7 @@ class SessionNode(SettingsNode):
         ended.write_files()
         self._files.end(REQUEST_WAIT)
         self._start_session(ended.next_settings(self._next_output()))
-        self._session.inputs.start_check = NothingMissed()
+        self._session.inputs.start_check = StartCheck()
         self._session.continue_from(ended)
         return self._files.check().get('output', '')
 

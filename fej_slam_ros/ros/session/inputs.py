@@ -21,7 +21,7 @@ from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
 from fej_slam_ros.ros.session.input_health import InputHealth, LargeScan
-from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, NothingMissed, StartCheck
+from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, StartCheck
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -86,7 +86,6 @@ class Inputs:
 
     #: Types of the topics of each robot that are used, by the last part of their names.
     robot_topics: Mapping[str, str] = ROBOT_TOPICS
-    start_check: StartCheck
 
     def __init__(self, consumer: Consumer, settings: NodeSettings = DEFAULTS) -> None:
         self._consumer = consumer
@@ -105,7 +104,7 @@ class Inputs:
         self.initialpose_robot = ''
         self._waiting_scans: defaultdict[str, list[tuple[str, Message, int | None]]] = (
             defaultdict(list))
-        self.start_check = NothingMissed()
+        self.start_check = StartCheck()
 
     @property
     def topics(self) -> dict[str, str]:

@@ -40,36 +40,28 @@ class MissedMessages(Protocol):
         """Watch a topic no longer."""
 
 
-class StartCheck(Protocol):
-    """Decides whether the start pose of a robot holds at its first odometry."""
+class StartCheck:
+    """
+    Decides whether the start pose of a robot holds at its first odometry.
+
+    That of `replay` passes all odometry on: a bag is taken to begin where the robots start.
+
+    """
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
         """Return the odometry to pass on now; what is held is returned by a later call."""
-
-    def close(self) -> Iterator[ArrivedOdometry]:
-        """Yield the odometry still held at the end of the input."""
-
-    def topics(self) -> list[str]:
-        """Return the topics of which the number of missed messages is needed."""
-
-
-class NothingMissed:
-    """The check of `replay`: a bag is taken to begin where the robots start."""
-
-    def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
-        """Return the odometry."""
         return [arrived]
 
     def close(self) -> Iterator[ArrivedOdometry]:
-        """Yield nothing."""
+        """Yield the odometry still held at the end of the input."""
         yield from ()
 
     def topics(self) -> list[str]:
-        """Return nothing."""
+        """Return the topics of which the number of missed messages is needed."""
         return []
 
 
-class LateStarts:
+class LateStarts(StartCheck):
     """
     The check of a live run, which may begin when robots have already moved.
 
@@ -158,7 +150,7 @@ class LateStarts:
                 ' landmarks or robot-to-robot observations, or by a pose on its topic set_pose')
 
 
-class LateAnchor(NothingMissed):
+class LateAnchor(StartCheck):
     """
     The check of a live smoother, whose ``map`` begins at the first odometry of its anchor.
 

@@ -10,7 +10,7 @@ import pytest
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PosePrior, PriorMap
 from fej_slam_ros.ros.session.late_starts import (
-    ArrivedOdometry, LateAnchor, LateStarts, MAX_HELD_ODOMETRY, NothingMissed)
+    ArrivedOdometry, LateAnchor, LateStarts, MAX_HELD_ODOMETRY, StartCheck)
 from fej_slam_ros.ros.session.log_lines import LogSeverity
 from helpers.records import MS, odometry, scan, team
 
@@ -190,7 +190,7 @@ def test_only_robots_with_a_start_pose_are_checked():
 
     assert run.check.topics() == ['r1/odom', 'r3/odom']
     assert run.odom('r2', 0, (3.0, 0.0, 0.0)) == 1
-    assert NothingMissed().topics() == []
+    assert StartCheck().topics() == []
 
 
 @pytest.mark.parametrize(('anchor_pose', 'missed', 'x', 'infos', 'warnings'), [
