@@ -19,7 +19,7 @@ from fej_slam_ros.ros.messages import (
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
-from fej_slam_ros.ros.session.front_end import LANDMARK_IDS
+from fej_slam_ros.ros.session.front_end import LANDMARK_IDS, RobotCounts
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.landmark_ids import LandmarkIds, number_of
 from fej_slam_ros.ros.session.object_queue import ObjectQueue, ObjectScan, Origin
@@ -119,7 +119,7 @@ class AdapterSession:
         yield from self._new_ids()
         self._queue.close()
 
-    def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
+    def counts(self) -> Iterator[RobotCounts]:
         """Yield each robot, a warning or '', and the counts of its messages and observations."""
         counts = {name: Counter(of_robot) for name, of_robot in self._counts.items()}
         for origin, number in self._queue.waiting().items():

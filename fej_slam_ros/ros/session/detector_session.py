@@ -20,6 +20,7 @@ from fej_slam_ros.ros.messages import (
     decoded_as, incoming, laser, markers, Message, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
+from fej_slam_ros.ros.session.front_end import RobotCounts
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY
 from fej_slam_ros.ros.session.outputs import (
     DIAGNOSTICS_TOPIC, IsWanted, MARKERS_TOPIC, Publication, TYPES)
@@ -118,7 +119,7 @@ class DetectorSession:
             for scan, landmarks in state.detector.close():
                 yield from self._published(name, scan, landmarks, lambda _: True)
 
-    def counts(self) -> Iterator[tuple[str, str, dict[str, int]]]:
+    def counts(self) -> Iterator[RobotCounts]:
         """Yield each robot, a warning or '', and the counts of its scans and landmarks."""
         for name, state in self._detectors.items():
             detector = state.detector

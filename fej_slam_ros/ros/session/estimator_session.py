@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter
@@ -13,7 +13,7 @@ import numpy as np
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PosePrior, PriorMap, UNKNOWN_POSE_COVARIANCE
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import checkpoint
@@ -123,7 +123,10 @@ class EstimatorSession(Session):
     def change_parameters(self, values: Mapping[str, Any]) -> None:
         """Change parameters of estimation from the next step on; the values are checked."""
         before = self.present_settings()
-        known = replace(before, robots=_united(self.estimator.settings.robots, before.robots))
+        # Robots of the start that have left may return.
+        all_robots = {
+            robot.name: robot for robot in (*self.estimator.settings.robots, *before.robots)}
+        known = replace(before, robots=tuple(all_robots.values()))
         changed = parameters.with_values(known, values.items())
         robots = {robot.name: robot for robot in changed.robots}
         at_start = [robots[robot.name] for robot in self.estimator.settings.robots]
@@ -180,10 +183,3 @@ class EstimatorSession(Session):
         yield from rejections(self.estimator.statistics)
         # Odometry that came before the first step of its robot.
         yield from self.outputs.predictions(self._is_wanted)
-
-
-def _united(
-    robots: Sequence[RobotSettings], others: Sequence[RobotSettings]
-) -> tuple[RobotSettings, ...]:
-    """Return robots with others added, which also replace those of the same names."""
-    return tuple({robot.name: robot for robot in [*robots, *others]}.values())

@@ -40,8 +40,6 @@ TRUE_LANDMARKS = 'ground_truth/landmarks'
 #: Topic of RViz for the pose of one robot, the parameter `initialpose_robot`.
 INITIALPOSE = 'initialpose'
 
-#: Settings of a node without parameters.
-DEFAULTS = NodeSettings()
 #: Maximum number of scans of a robot that wait for its first odometry, whose child frame is valid
 #: for scans; further scans are rejected. 1000 scans are minutes at usual rates.
 MAX_WAITING_SCANS = 1000
@@ -87,7 +85,7 @@ class Inputs:
     #: Types of the topics of each robot that are used, by the last part of their names.
     robot_topics: Mapping[str, str] = ROBOT_TOPICS
 
-    def __init__(self, consumer: Consumer, settings: NodeSettings = DEFAULTS) -> None:
+    def __init__(self, consumer: Consumer, settings: NodeSettings) -> None:
         self._consumer = consumer
         # Functions that convert a message to a record, for topics without further checks.
         self._record_builders: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {

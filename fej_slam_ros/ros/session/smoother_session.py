@@ -44,11 +44,6 @@ Solver = Callable[[Callable[[Any], Any], Any], Any]
 FAILURE_PAUSE = 60 * NS
 
 
-def called(function: Callable[[Any], Any], argument: Any) -> Any:
-    """Return the result of a function."""
-    return function(argument)
-
-
 class SmootherSession(Session):
     """
     A smoother between its inputs and outputs.
@@ -74,7 +69,7 @@ class SmootherSession(Session):
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool | None = None,
         solve_every: int = SOLVE_EVERY, open_files: FilesOpener = RunFiles,
-        solve_finally: Solver = called,
+        solve_finally: Solver = lambda function, argument: function(argument),
     ) -> None:
         _refuse_exact_odometry(settings.estimation)
         self.settings = settings

@@ -11,7 +11,7 @@ import pytest
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.ros.messages import RawMessage
-from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session import inputs as inputs_module
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS
@@ -288,7 +288,7 @@ BOTH = [raw_record(odometry(robot, ms)) for ms in range(0, 500, 100) for robot i
 
 def test_a_robot_observation_makes_one_step_of_both_robots():
     estimator = Estimator(team())
-    inputs = Inputs(estimator)
+    inputs = Inputs(estimator, NodeSettings())
 
     for message in (*BOTH, robots(150, (2, 3.0, 1.0))):
         inputs.receive(message)
@@ -302,7 +302,7 @@ def test_a_robot_observation_makes_one_step_of_both_robots():
     (1, 'self_sighting'), (3, 'unknown_robot'), (-1, 'unknown_robot')])
 def test_an_observation_of_an_impossible_robot_is_rejected_and_makes_no_step(number, reason):
     estimator = Estimator(team())
-    inputs = Inputs(estimator)
+    inputs = Inputs(estimator, NodeSettings())
 
     for message in (*BOTH, robots(150, (number, 3.0, 1.0))):
         inputs.receive(message)
@@ -315,7 +315,7 @@ def test_an_observation_of_an_impossible_robot_is_rejected_and_makes_no_step(num
 def refused_of(*messages):
     """Return what an estimator refuses of messages, and the estimator."""
     estimator = Estimator(team())
-    inputs = Inputs(estimator)
+    inputs = Inputs(estimator, NodeSettings())
     for message in messages:
         inputs.receive(message)
     list(estimator.release())
@@ -350,10 +350,10 @@ def test_a_rejected_robot_observation_names_the_robot(numbers, reason, name):
 
 def test_robot_observations_that_wait_for_their_frame_are_unchanged():
     estimator = Estimator(team())
-    inputs = Inputs(estimator)
+    inputs = Inputs(estimator, NodeSettings())
     for wrong_or_right in ('chassis', 'elsewhere'):
         inputs.receive(robots(150, (2, 3.0, 1.0), frame=wrong_or_right))
-    restored = Inputs(estimator)
+    restored = Inputs(estimator, NodeSettings())
 
     restored.restore(inputs.snapshot())
     for message in (odom(0, child='chassis'), odom(200, child='chassis'), *BOTH[1::2]):
