@@ -13,7 +13,6 @@ from rclpy.experimental.events_executor import EventsExecutor
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.ros.messages import prepare, RawMessage, serialize
 from fej_slam_ros.ros.nodes import log_writer
-from fej_slam_ros.ros.nodes.clock_watch import NO_CLOCK
 from fej_slam_ros.ros.nodes.endpoints import (
     check_topic_names, is_installed, message_class, wait_for_arrival)
 from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
@@ -22,7 +21,7 @@ from fej_slam_ros.ros.nodes.qos import front_end_qos, input_qos, overridable
 from fej_slam_ros.ros.nodes.qos_watch import QosWatch
 from fej_slam_ros.ros.nodes.ros_process import MAX_LAST_STEPS_TIME, ros
 from fej_slam_ros.ros.parameters import Value
-from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD, IncompatibleQos
+from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD, IncompatibleQos, NO_CLOCK
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity

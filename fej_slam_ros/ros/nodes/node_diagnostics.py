@@ -2,14 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Diagnostics of a node: those of its session, and of its topics, files and clock."""
 
+from time import monotonic
 from typing import Any
 
 from rclpy.node import Node
 
-from fej_slam_ros.ros.nodes.clock_watch import ClockWatch
 from fej_slam_ros.ros.nodes.node_files import NodeFiles
 from fej_slam_ros.ros.nodes.topics import NodeTopics
-from fej_slam_ros.ros.session.diagnostics import also_published, Diagnostics
+from fej_slam_ros.ros.session.diagnostics import also_published, Diagnostics, NO_CLOCK
+
+#: Time of the machine [s] for which simulated time may stand still.
+CLOCK_PATIENCE = 5.0
 
 
 class NodeDiagnostics:
@@ -24,16 +27,18 @@ class NodeDiagnostics:
     """
 
     def __init__(self, node: Node, topics: NodeTopics, files: NodeFiles) -> None:
+        self._node = node
         self._log = node.get_logger()
         self._topics = topics
         self._files = files
-        self._clock_watch = ClockWatch(node)
+        # The latest simulated time [ns], and when it changed by the clock of the machine [s].
+        self._latest_time, self._changed_at = 0, monotonic()
 
     def publish(self, diagnostics: Diagnostics[Any], now: int | None, at_rest: bool) -> None:
         """Publish a report at a time [ns]; it is None while simulated time has not begun."""
         self._check_topics(diagnostics)
         diagnostics.file_errors = self._files.check()
-        diagnostics.clock_fault = self._clock_watch.fault(now)
+        diagnostics.clock_fault = self._clock_fault(now)
         self._topics.publish([diagnostics.report(now or 0, at_rest)])
 
     def _check_topics(self, diagnostics: Diagnostics[Any]) -> None:
@@ -45,3 +50,15 @@ class NodeDiagnostics:
             self._log.warning(f'{robot}: {also_published(others[robot])}')
         diagnostics.incompatible, diagnostics.other_publishers = incompatible, others
         diagnostics.publishers = self._topics.publishers(incompatible)
+
+    def _clock_fault(self, now: int | None) -> str:
+        """Return why simulated time does not advance, '' if it does; None is before the first."""
+        if not self._node.get_parameter('use_sim_time').value:
+            return ''
+        if now is None:
+            return NO_CLOCK
+        if now != self._latest_time:
+            self._latest_time, self._changed_at = now, monotonic()
+        standing = monotonic() - self._changed_at
+        return '' if standing < CLOCK_PATIENCE else (
+            f'simulated time has stood still for {standing:.0f} s')

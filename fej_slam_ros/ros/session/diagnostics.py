@@ -20,6 +20,8 @@ from fej_slam_ros.ros.session.percentiles import percentiles
 
 #: Period of the reports [s], as REP-107 recommends.
 DIAGNOSTICS_PERIOD = 1.0
+#: Condition of a node while simulated time has not begun.
+NO_CLOCK = 'waiting for /clock: use_sim_time is set'
 #: Maximum number of durations stored between two reports: ten seconds of steps at 1 kHz.
 MAX_TIMES = 10_000
 
