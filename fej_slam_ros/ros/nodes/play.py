@@ -44,7 +44,8 @@ def main(bag: Path, names: TopicNames, rate: float, clock: bool, wait: bool) -> 
         messages = tqdm(
             (message for message in bags.read(bag, names) if message.topic in played),
             total=sum(topic.messages for topic in played.values()), unit='msg', disable=None)
-        return player.run(messages, wait, stopped)
+        player.run(messages, wait, stopped)
+    return 0
 
 
 def _left_out(topics: Mapping[str, bags.BagTopic]) -> str:

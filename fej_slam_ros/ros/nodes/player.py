@@ -76,18 +76,16 @@ class Player:
                 remind_at += REMINDER_PERIOD
         self._spin(monotonic() + DISCOVERY_WAIT, stopped)
 
-    def run(self, messages: Iterable[RawMessage], wait: bool, stopped: Stop) -> int:
-        """Wait for subscribers if required, play until the end or an interrupt, and return 0."""
+    def run(self, messages: Iterable[RawMessage], wait: bool, stopped: Stop) -> None:
+        """Wait for subscribers if required, and play until the end or an interrupt."""
         if wait:
             self.wait_for_subscribers(stopped)
         self.play(messages, stopped)
         self._node.destroy_node()
-        return 0
 
-    def play(self, messages: Iterable[RawMessage], stopped: Stop) -> int:
-        """Publish messages in their order, each at its time; return the number published."""
-        published, first = 0, None
-        began = monotonic()
+    def play(self, messages: Iterable[RawMessage], stopped: Stop) -> None:
+        """Publish messages in their order, each at its time."""
+        began, first = monotonic(), None
         for message in messages:
             at = message.received or 0
             first = at if first is None else first
@@ -95,9 +93,7 @@ class Player:
             if stopped.is_set():
                 break
             self._publishers[message.topic].publish(message.raw)
-            published += 1
         wait_for_arrival(self._publishers.values(), stopped.is_set)
-        return published
 
     def _unsubscribed(self) -> list[str]:
         """Return the topics without a subscriber."""

@@ -34,7 +34,8 @@ def main(ros_args: Sequence[str]) -> int:
             'wait: false')
         messages = simulated_input.messages(
             simulated, None if node.has_simulated_time else node.now)
-        return player.run(messages, simulated.wait, stopped)
+        player.run(messages, simulated.wait, stopped)
+    return 0
 
 
 class SimulatorNode(ParameterNode):
