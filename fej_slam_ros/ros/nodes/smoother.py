@@ -81,9 +81,9 @@ class SmootherNode(SessionNode):
         return super()._changed_estimation(values)
 
     def work(self) -> None:
-        """Do one of: exchange a solution with the worker, add poses, publish a pending map."""
+        """Do one of: adopt or request a solution, add poses, publish a pending map."""
         self.is_behind = (
-            self._exchange_solution() or self._add_poses() or self._maps.publish_next())
+            self._advance_solution() or self._add_poses() or self._maps.publish_next())
         self._saver.work(self._settings.node.autosave_period)
 
     def _start_session(self, settings: RunSettings) -> None:
@@ -111,7 +111,7 @@ class SmootherNode(SessionNode):
         self._worker.close()
         self._solving_since = None
 
-    def _exchange_solution(self) -> bool:
+    def _advance_solution(self) -> bool:
         """Adopt a finished solution, or request one that is due; return whether it did either."""
         solution = self._worker.result()
         self._report_deaths()

@@ -46,7 +46,7 @@ class FailedTask:
         return f'its computation fails with {self.reason}'
 
 
-class Exchange(Thread):
+class Request(Thread):
     """
     Sends a task and waits for the answer; both may take for ever if the process was stopped.
 
@@ -68,7 +68,7 @@ class Exchange(Thread):
         self.start()
 
     def run(self) -> None:
-        """Exchange the task for the answer."""
+        """Send the task and receive the answer."""
         with suppress(EOFError, OSError):
             if self._task:
                 self._pipe.send_bytes(self._task)
@@ -90,10 +90,11 @@ class Worker:
 
     """
 
-    _exchange: Exchange
+    _request: Request
     _is_listening: bool  # whether the process is ready for tasks
 
     def __init__(self) -> None:
+        # The task in progress, if there is one.
         self._tasks: list[tuple[Callable[[Any], Any], Any]] = []
         self._unsuccessful = self._failures = self.deaths = 0
         self._restart_time = 0.0
@@ -122,17 +123,17 @@ class Worker:
             if monotonic() >= self._restart_time:
                 self._start()
             return None
-        if self._exchange.is_alive():
+        if self._request.is_alive():
             if self._is_hung():
                 self._replace(f'the worker process got no processor time for {HUNG_AFTER:g} s')
             return None
-        if not self._exchange.answer:
+        if not self._request.answer:
             self._process.join(EXIT_TIMEOUT)
             self._replace(f'the worker process {described_exit(self._process.exitcode)}')
             return None
         if self.is_ready:
             return None
-        result = ForkingPickler.loads(self._exchange.answer)
+        result = ForkingPickler.loads(self._request.answer)
         if isinstance(result, FailedTask):
             return self._repeat_or_give_up(result.reason)
         if self._is_listening:
@@ -148,7 +149,7 @@ class Worker:
         # SIGTERM would not end a stopped process.
         self._process.kill()
         self._process.join()
-        self._exchange.join()
+        self._request.join()
         self._pipe.close()
 
     def _start(self) -> None:
@@ -170,12 +171,12 @@ class Worker:
         theirs.close()
         self._is_listening = False
         self._processor_time, self._seen_working = 0.0, monotonic()
-        self._exchange = Exchange(self._pipe)
+        self._request = Request(self._pipe)
 
     def _send_task(self) -> None:
         for task in self._tasks:
             self._seen_working = monotonic()
-            self._exchange = Exchange(self._pipe, ForkingPickler.dumps(task))
+            self._request = Request(self._pipe, ForkingPickler.dumps(task))
 
     def _is_hung(self) -> bool:
         """Return whether the process lives, but has used no processor time for long."""
