@@ -52,17 +52,20 @@ class Sink(Generic[SessionT]):
 
     def take(self, now: int, session: SessionT, publications: Iterable[Publication]) -> None:
         """Consume the publications caused by a message of the given log time [ns]."""
-        for _ in publications:
-            pass
+        self.write(publications)
 
     def close(self, session: SessionT) -> None:
         """Close a session and consume its last publications."""
-        for _ in session.close():
-            pass
+        self.write(session.close())
 
     def end(self, session: SessionT) -> None:
         """Close the last session."""
         self.close(session)
+
+    def write(self, publications: Iterable[Publication]) -> None:
+        """Consume publications."""
+        for _ in publications:
+            pass
 
 
 class BagSink(Sink[SessionT]):
@@ -83,28 +86,24 @@ class BagSink(Sink[SessionT]):
             self._next_overview = self.now + OVERVIEW_PERIOD
             self._write_overview(session, at_rest=False)
 
-    def close(self, session: SessionT) -> None:
-        """Close a session and write its last publications."""
-        self.write(session.close())
-
     def end(self, session: SessionT) -> None:
         """Write the last publications and a last overview."""
-        self.close(session)
+        super().end(session)
         self._write_overview(session, at_rest=True)
 
     def log_time(self, topic: str, message: Message) -> int:
         """Return the log time to write a message with [ns]."""
         return self.now
 
-    def _write_overview(self, session: SessionT, at_rest: bool) -> None:
-        self.write(session.outputs.maps_and_paths(lambda topic: True))
-        self.write([session.diagnostics.report(self.now, at_rest)])
-
     def write(self, publications: Iterable[Publication]) -> None:
         """Write publications at their log times."""
         for topic, message in publications:
             name = self._names.published(topic.replace('~', self._node))
             self._bag.write(name, self.log_time(topic, message), message)
+
+    def _write_overview(self, session: SessionT, at_rest: bool) -> None:
+        self.write(session.outputs.maps_and_paths(lambda topic: True))
+        self.write([session.diagnostics.report(self.now, at_rest)])
 
 
 def process(
