@@ -114,7 +114,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         if now:
             self._inputs.health.sample(now)
         statuses = [
-            *self._robots(now, elapsed), self._qos(), self._files(), self._overall(now, at_rest)]
+            *self._robots(now, elapsed),
+            self._of_errors('qos', [*map(str, self.incompatible)], 'compatible', {}),
+            self._of_errors('files', self.file_errors.values(), 'no error', self.file_errors),
+            self._overall(now, at_rest)]
         self._reported_at = now
         self._received = self._consumer.statistics.received.copy()
         self.step_times.clear()
@@ -153,7 +156,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         statistics = self._consumer.statistics
         for name in self._consumer.robots:
             since = statistics.received[name] - self._received[name]
-            state = self._with_clock(name, *self._with_faults(name, now, *self._state_of(name)))
+            state = self._with_faults(name, now, *self._state_of(name))
             yield outgoing.diagnostic_status(
                 f'{self.node_name}: {name}', *state, {
                     'received': statistics.received[name],
@@ -161,7 +164,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
                     'sightings_used': statistics.observations_used[name],
                     'sightings_relaxed': statistics.observations_inflated[name],
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
-                    **self._topic_rates(name),
+                    **{
+                        f'{kind}_rate_hz': round(self._inputs.health.rate(name, kind), 2)
+                        for kind in MEASUREMENT_TOPICS},
+                    'delays_others_s': round(self._inputs.health.lag(name) / NS, 3),
                     'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
                     'released_without': statistics.released_without[name],
                     'located_anew': statistics.relocalized[name],
@@ -169,13 +175,6 @@ class Diagnostics(ABC, Generic[ConsumerT]):
                     **self._values_of(name),
                     **{reason.value: n for reason, n in statistics.rejection_counts[name].items()},
                 }, hardware=name)
-
-    def _topic_rates(self, robot: str) -> dict[str, float]:
-        health = self._inputs.health
-        return {
-            f'{kind}_rate_hz': round(health.rate(robot, kind), 2)
-            for kind in MEASUREMENT_TOPICS
-        } | {'delays_others_s': round(health.lag(robot) / NS, 3)}
 
     def _with_faults(
         self, robot: str, now: int, level: Level, message: str
@@ -185,6 +184,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         found += [Fault(Level.WARN, change) for change in self._inputs.frames.changes(robot)]
         if robot in self.other_publishers:
             found.append(Fault(Level.WARN, also_published(self.other_publishers[robot])))
+        found += self._clock_faults(robot)
         return (
             max([level, *(fault.level for fault in found)]),
             '; '.join([message, *(fault.message for fault in found)]))
@@ -193,14 +193,13 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         offset = self._inputs.clock_offsets.offset(robot)
         return {} if offset is None else {'clock_offset_s': round(offset / NS, 6)}
 
-    def _with_clock(self, robot: str, level: Level, message: str) -> tuple[Level, str]:
-        """Add a warning to level and message if stamps and the clock of reception differ."""
+    def _clock_faults(self, robot: str) -> Iterator[Fault]:
+        """Yield the condition that stamps and the clock of reception differ."""
         delay = self._inputs.clock_offsets.delay(robot) or 0
-        if abs(delay) <= self.settings.clock_limit * NS:
-            return level, message
-        side = 'behind' if delay > 0 else 'ahead of'
-        warning = f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'
-        return max(level, Level.WARN), f'{message}; {warning}'
+        if abs(delay) > self.settings.clock_limit * NS:
+            side = 'behind' if delay > 0 else 'ahead of'
+            yield Fault(Level.WARN, (
+                f'stamps of {robot} are {abs(delay) / NS:.3f} s {side} the clock of reception'))
 
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that no robot sends odometry, None if one does."""
@@ -232,17 +231,13 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         return outgoing.diagnostic_status(
             f'{self.node_name}: {name}', level, '; '.join(messages) or 'running', values)
 
-    def _qos(self) -> Message:
+    def _of_errors(
+        self, name: str, errors: Collection[str], without: str, values: Mapping[str, str]
+    ) -> Message:
+        """Return a status that is an error if there are any, with a message for none."""
         return outgoing.diagnostic_status(
-            f'{self.node_name}: qos',
-            Level.ERROR if self.incompatible else Level.OK,
-            '; '.join(map(str, self.incompatible)) or 'compatible', {})
-
-    def _files(self) -> Message:
-        return outgoing.diagnostic_status(
-            f'{self.node_name}: files',
-            Level.ERROR if self.file_errors else Level.OK,
-            '; '.join(self.file_errors.values()) or 'no error', self.file_errors)
+            f'{self.node_name}: {name}', Level.ERROR if errors else Level.OK,
+            '; '.join(errors) or without, values)
 
 
 def percentile_values(quantity: str, times: Collection[float]) -> dict[str, float]:
