@@ -12,7 +12,6 @@ from rclpy.parameter import Parameter as RosParameter
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.endpoints import is_installed
 from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
-from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 
 
@@ -26,7 +25,16 @@ class SettingsNode(ManagedNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        self._settings = self._next_settings = self._read_settings()
+        self._settings = parameters.parse(self.given, self.get_logger().warning)
+        robots = self._robot_names()
+        known = parameters.known_parameters(robots)
+        self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
+        self.redeclare(parameters.as_parameters(self._settings), known, self._changeable())
+        if self._lacks_tf():
+            without: dict[str, Any] = {self.tf_parameter: False}
+            self._settings = replace(
+                self._settings, node=replace(self._settings.node, **without))
+        self._next_settings = self._settings
 
     def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
         """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
@@ -48,17 +56,6 @@ class SettingsNode(ManagedNode):
         """Return the values in force of the parameters that may change."""
         names, values = self._changeable(), parameters.as_parameters(self._settings)
         return {name: value for name, value in values.items() if name in names}
-
-    def _read_settings(self) -> RunSettings:
-        settings = parameters.parse(self.given, self.get_logger().warning)
-        robots = [robot.name for robot in settings.estimation.robots]
-        known = parameters.known_parameters(robots)
-        changeable = parameters.changeable_parameters(robots, self.audience)
-        self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
-        self.redeclare(parameters.as_parameters(settings), known, changeable)
-        without: dict[str, Any] = {self.tf_parameter: False}
-        return replace(
-            settings, node=replace(settings.node, **without)) if self._lacks_tf() else settings
 
     def _lacks_tf(self) -> bool:
         """Return whether the node cannot publish the transforms that it is to publish."""

@@ -138,6 +138,7 @@ class PeerSession(SmootherSession):
 
     def _restore(self, blocks: Sequence[Block], logs: TeamLogs, own: NoiseSettings) -> None:
         """Add what the file of the exchange has to the logs."""
+        file = f'exchange_file {self.settings.node.exchange_file}'
         try:
             for block in blocks:
                 logs.restore(block)
@@ -145,16 +146,14 @@ class PeerSession(SmootherSession):
             if logs.robot in logs.differing:
                 parameter = logs.differing[logs.robot]
                 raise UserError(
-                    f'exchange_file {self.settings.node.exchange_file} was written with another'
-                    f' {parameter}: give the value it had, or move it away to begin a new run'
-                    ) from None
+                    f'{file} was written with another {parameter}: give the value it had, or move'
+                    ' it away to begin a new run') from None
             raise UserError(
-                f'exchange_file {self.settings.node.exchange_file} is damaged ({rejected}): move'
-                ' it away to begin a new run') from None
+                f'{file} is damaged ({rejected}): move it away to begin a new run') from None
         if blocks and logs.noise()[logs.robot] != noise_of(own):
             raise UserError(
-                f'exchange_file {self.settings.node.exchange_file} was written with another noise'
-                f' of {logs.robot}: give the noise it had, or move it away to begin a new run')
+                f'{file} was written with another noise of {logs.robot}: give the noise it had, or'
+                ' move it away to begin a new run')
 
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message of the own robot or of another smoother."""
