@@ -4,6 +4,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 import json
 from time import monotonic
 
@@ -113,9 +114,6 @@ class View(ServerListener):
             self._served[topic] = ServedTopic(self._channel(topic, known[0]))
 
     def _match(self, topic: str, type_name: str) -> None:
-        def receive(raw: bytes) -> None:
-            self._pass_on(topic, raw)
-
         def note_incompatible(_: object) -> None:
             served.is_incompatible = True
 
@@ -127,8 +125,9 @@ class View(ServerListener):
         # Later publishers may offer less: a new subscription adapts to them, too.
         if wanted and served.subscription is None:
             served.subscription = self._node.create_subscription(
-                message_class(type_name), topic, receive, AS_OFFERED, raw=True,
-                event_callbacks=SubscriptionEventCallbacks(incompatible_qos=note_incompatible))
+                message_class(type_name), topic, partial(self._pass_on, topic), AS_OFFERED,
+                raw=True, event_callbacks=SubscriptionEventCallbacks(
+                    incompatible_qos=note_incompatible))
 
     def _pass_on(self, topic: str, raw: bytes) -> None:
         if len(raw) > MAX_MESSAGE_SIZE:

@@ -9,6 +9,7 @@ does the same.
 """
 
 from collections.abc import Callable, Iterable
+from functools import partial
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
@@ -52,19 +53,16 @@ class RelocalizeServices:
             self._node.destroy_publisher(publisher)
         for robot in robots:
             if robot not in self._endpoints:
-                self._endpoints[robot] = self._created(robot)
+                self._endpoints[robot] = (
+                    self._node.create_service(
+                        Trigger, f'{robot}/relocalize', partial(self._respond, robot)),
+                    self._node.create_publisher(
+                        message_class(ROBOT_TOPICS['set_pose']), f'{robot}/set_pose',
+                        reliable(REQUEST_DEPTH)))
 
-    def _created(self, robot: str) -> tuple[Service, Publisher]:
-        def relocalize(_: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-            return self._respond(robot, response)
-
-        message_type = message_class(ROBOT_TOPICS['set_pose'])
-        return (
-            self._node.create_service(Trigger, f'{robot}/relocalize', relocalize),
-            self._node.create_publisher(
-                message_type, f'{robot}/set_pose', reliable(REQUEST_DEPTH)))
-
-    def _respond(self, robot: str, response: Trigger.Response) -> Trigger.Response:
+    def _respond(
+        self, robot: str, _request: Trigger.Request, response: Trigger.Response
+    ) -> Trigger.Response:
         _, publisher = self._endpoints[robot]
         try:
             topic, message = outgoing.input_message(self._request(robot))

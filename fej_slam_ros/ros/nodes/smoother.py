@@ -123,7 +123,9 @@ class SmootherNode(SessionNode):
                 self._session.diagnostics.solve_time = duration
                 self._topics.publish(self._session.adopt(solution))
             return True
-        if not self._worker.is_ready or not self._is_solution_due():
+        # At rest, a new pose does not wait for others.
+        new_poses = 1 if self._last_input is None else NEW_POSES
+        if not (self._worker.is_ready and self._session.is_solution_due(new_poses)):
             return False
         self._solving_since = perf_counter()
         self._worker.begin(*self._session.solving())
@@ -162,10 +164,6 @@ class SmootherNode(SessionNode):
             self._reported_deaths = self._worker.deaths
             diagnostics.solver_restarts += 1
             self.get_logger().error(self._worker.fault)
-
-    def _is_solution_due(self) -> bool:
-        is_at_rest = self._last_input is None
-        return self._session.is_solution_due(1 if is_at_rest else NEW_POSES)
 
     def _add_poses(self) -> bool:
         """Add and publish due poses for a short time; return whether there may be more."""
