@@ -125,7 +125,7 @@ class Survey:
     """Contents of a bag."""
 
     def __init__(self) -> None:
-        self.topics: dict[str, TopicSeries] = {}  #: of each robot, by name
+        self.topics: dict[str, OdometrySeries | ObservationSeries] = {}  #: of each robot, by name
 
     def add(self, raw: RawMessage) -> None:
         """Add a message of a robot; the trial run reports those that cannot be read."""
@@ -142,8 +142,7 @@ class Survey:
         topic.stamps.append(from_time(message.header.stamp))
         topic.logged.append(raw.received or 0)
         topic.frames[message.header.frame_id.lstrip('/')] += 1
-        if isinstance(topic, (OdometrySeries, ObservationSeries)):
-            topic.add(message)
+        topic.add(message)
 
     def odometry(self, robot: str) -> OdometrySeries:
         """Return the odometry of a robot, empty if there is none."""

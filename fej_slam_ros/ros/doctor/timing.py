@@ -49,8 +49,8 @@ OTHER_STEPS = (
 
 def check(survey: Survey, settings: CommonSettings) -> Iterator[Finding]:
     """Yield problems of the stamps of single topics."""
-    for name, topic in survey.topics.items():
-        yield from _order(name, topic, settings)
+    for name, series in survey.topics.items():
+        yield from _order(name, series, settings)
     moving = survey.moving(settings)
     for robot in settings.robots:
         stamps = survey.odometry(robot.name).stamps

@@ -18,7 +18,7 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey, NS
 from fej_slam_ros.ros.messages import markers, Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.inputs import Inputs, TF_TYPE
+from fej_slam_ros.ros.session.inputs import CLOUD, Inputs, POSE_WITH_COVARIANCE, TF_TYPE
 
 #: Maximum number of poses of a published path, which limits its message to 100 kB; beyond it every
 #: second pose is dropped.
@@ -35,16 +35,16 @@ DIAGNOSTICS_TOPIC = '/diagnostics'
 TF_TOPIC = '/tf'
 
 TYPES = {
-    LANDMARKS_TOPIC: 'sensor_msgs/msg/PointCloud2',
+    LANDMARKS_TOPIC: CLOUD,
     MARKERS_TOPIC: 'visualization_msgs/msg/MarkerArray',
     JOINT_COVARIANCE_TOPIC: 'std_msgs/msg/Float64MultiArray',
     REJECTIONS_TOPIC: 'diagnostic_msgs/msg/DiagnosticStatus',
     DIAGNOSTICS_TOPIC: 'diagnostic_msgs/msg/DiagnosticArray',
 }
 ROBOT_TYPES = {
-    'pose': 'geometry_msgs/msg/PoseWithCovarianceStamped',
+    'pose': POSE_WITH_COVARIANCE,
     'path': 'nav_msgs/msg/Path',
-    'map_landmarks': 'sensor_msgs/msg/PointCloud2',
+    'map_landmarks': CLOUD,
 }
 
 Publication = tuple[str, Message]

@@ -38,9 +38,7 @@ def messages(simulated: Simulation, now: Callable[[], int] | None) -> Iterator[R
         yield RawMessage(topic, message.__msgtype__, measured_at(record), serialize(message))
 
 
-def in_real_time(
-    record: AnyRecord, begin: int, speed: float
-) -> AnyRecord:
+def in_real_time(record: AnyRecord, begin: int, speed: float) -> AnyRecord:
     """Return a record of the world that begins at a time [ns] and moves faster by a factor."""
     stamp = begin + round((record.stamp - FIRST_STAMP) / speed)
     if isinstance(record, Odometry) and record.twist_covariance is not None:
