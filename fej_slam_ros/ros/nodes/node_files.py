@@ -113,18 +113,14 @@ class NodeFiles:
         if self._checkpoint is not None:
             self._checkpoint.save(content, timeout)
 
-    def begin(self) -> None:
-        """Begin a run, before its files are opened."""
-        self._run = None
+    def begin(self, is_first: bool) -> None:
+        """Begin a run, before its files are opened; all but the first do so even without files."""
         self._notes.clear()
+        self._is_first = is_first
 
     def note(self, name: str, error: str) -> None:
         """Note why the file of a parameter cannot be written in this run."""
         self._notes[name] = error
-
-    def begun(self) -> None:
-        """Note that a run has begun, so that later ones do so even without files."""
-        self._is_first = False
 
     def end(self, timeout: float) -> None:
         """Wait for the files of the run, which end; remember them if they are not complete."""
@@ -143,7 +139,6 @@ class NodeFiles:
             self._exchange.wait(REQUEST_WAIT)
         self._exchange = None
         self._ended.clear()
-        self._is_first = True
 
     def errors(self) -> dict[str, str]:
         """Return what is not complete or not up to date, by parameter."""

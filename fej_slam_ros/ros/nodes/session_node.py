@@ -241,14 +241,13 @@ class SessionNode(SettingsNode):
         self._activated.close()
 
     def _start_session(self, settings: RunSettings) -> None:
-        self._files.begin()
+        self._files.begin(is_first=not self._has_session)
         folder = Path(settings.node.output) if settings.node.output else None
         self._session = self.new_session(settings, folder)
         if settings.node.restore:
             self.get_logger().info(
                 f'the run continues from {settings.node.restore}' if self._session.is_restored else
                 f'a new run begins: {settings.node.restore} does not exist yet')
-        self._files.begun()
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._session.log.topic_name = self.resolve_topic_name
         self._maps.drop()
