@@ -165,7 +165,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
                     'sightings_relaxed': statistics.observations_inflated[name],
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
                     **{
-                        f'{kind}_rate_hz': round(self._inputs.health.rate(name, kind), 2)
+                        f'{kind}_rate_hz': round(self._inputs.health.flow(name, kind).rate(), 2)
                         for kind in MEASUREMENT_TOPICS},
                     'delays_others_s': round(self._inputs.health.lag(name) / NS, 3),
                     'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),

@@ -197,7 +197,7 @@ def _too_large(given: RobotInput) -> Iterator[Fault]:
 
 def _too_frequent(given: RobotInput) -> Iterator[Fault]:
     for kind in MEASUREMENT_TOPICS:
-        rate = given.health.rate(given.robot, kind)
+        rate = given.flow(kind).rate()
         if rate > MAX_RATE:
             yield Fault(Level.ERROR, (
                 f'{given.robot} publishes at least {rate:,.0f} messages a second on'

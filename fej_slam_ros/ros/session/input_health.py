@@ -60,6 +60,8 @@ class TopicFlow:
     rejected_in_a_row: Counter[RejectionReason] = field(default_factory=Counter)
     rejected_since: int = 0
     _gaps: deque[int] = field(default_factory=lambda: deque(maxlen=MAX_GAPS))
+    #: times of reports [ns] in the last `RATE_WINDOW`, with the number of messages by then
+    _samples: deque[tuple[int, int]] = field(default_factory=deque)
 
     def add(self, received: int | None, reason: RejectionReason | None) -> None:
         """Add a message with its time of reception [ns] and the reason if it was rejected."""
@@ -106,23 +108,18 @@ class TopicFlow:
         limit = max(stale_after, MIN_SILENCE, round(STOPPED_RATIO * self.usual_gap()))
         return self.silence(now) > limit
 
-
-class CountWindow:
-    """A growing count over the last `RATE_WINDOW`."""
-
-    def __init__(self) -> None:
-        self._samples: deque[tuple[int, int]] = deque()
-
-    def add(self, now: int, count: int) -> None:
-        """Add the count at a time [ns]."""
+    def sample(self, now: int) -> None:
+        """Remember the number of messages at the time [ns] of a report."""
         if self._samples and now < self._samples[-1][0]:
             self._samples.clear()
-        self._samples.append((now, count))
+        self._samples.append((now, self.received))
         while len(self._samples) > 2 and now - self._samples[1][0] >= RATE_WINDOW:
             self._samples.popleft()
 
     def rate(self) -> float:
-        """Return the rate of growth [Hz], 0 if unknown."""
+        """Return the rate of the messages over the last `RATE_WINDOW` [Hz], 0 if unknown."""
+        if not self._samples:
+            return 0.0
         (begin, first), (end, last) = self._samples[0], self._samples[-1]
         return (last - first) / (end - begin) * NS if end > begin else 0.0
 
@@ -224,7 +221,6 @@ class InputHealth:
         self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
         self._flows: defaultdict[str, defaultdict[str, TopicFlow]] = (
             defaultdict(lambda: defaultdict(TopicFlow)))
-        self._windows: defaultdict[tuple[str, str], CountWindow] = defaultdict(CountWindow)
         # Longest time [ns] by which the odometry of each robot was behind: since the last report,
         # and in the two periods before.
         self._lags: Counter[str] = Counter()
@@ -276,26 +272,19 @@ class InputHealth:
         self.pose_priors.pop(robot, None)
         for lags in (self._lags, *self._past_lags):
             del lags[robot]
-        for key in [key for key in self._windows if key[0] == robot]:
-            del self._windows[key]
 
     def sample(self, now: int) -> None:
         """Add the present counts at the time [ns] of a report."""
         statistics = self._consumer.statistics
         for robot in self._consumer.robots:
             flows = self._flows[robot]
-            for kind, flow in flows.items():
-                self._windows[robot, kind].add(now, flow.received)
+            for flow in flows.values():
+                flow.sample(now)
             self.robots[robot].sample(
                 now, flows['landmarks'].observations + flows['robots'].observations,
                 statistics.observations_used[robot], statistics.rejection_counts[robot])
         self._past_lags.append(self._lags)
         self._lags = Counter()
-
-    def rate(self, robot: str, kind: str) -> float:
-        """Return the rate of a topic [Hz]."""
-        key = robot, kind
-        return self._windows[key].rate() if key in self._windows else 0.0
 
     def lag(self, robot: str) -> int:
         """

@@ -92,7 +92,7 @@ class LateStarts(StartCheck):
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
         """Return the odometry to pass on now; what is held is returned by a later call."""
         robot = arrived.record.robot
-        if not self._is_checked(robot):
+        if not self._needs_check(robot):
             return [arrived]
         held = self._held[robot]
         held.append(arrived)
@@ -117,9 +117,9 @@ class LateStarts(StartCheck):
 
     def topics(self) -> list[str]:
         """Return the topics of which the number of missed messages is needed."""
-        return [_topic(robot) for robot in self._estimator.robots if self._is_checked(robot)]
+        return [_topic(robot) for robot in self._estimator.robots if self._needs_check(robot)]
 
-    def _is_checked(self, robot: str) -> bool:
+    def _needs_check(self, robot: str) -> bool:
         """Return whether a robot has a start pose that has not been checked yet."""
         settings = self._estimator.settings
         has_start = (
