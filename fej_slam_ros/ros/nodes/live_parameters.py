@@ -38,7 +38,8 @@ class LiveParameters:
         self._change = change
         self._present = present
         self._is_matching = False
-        node.add_pre_set_parameters_callback(self._with_floats)
+        node.add_pre_set_parameters_callback(
+            lambda changes: [self._with_float(change) for change in changes])
         node.add_on_set_parameters_callback(self._apply)
         node.add_post_set_parameters_callback(self._match_others)
 
@@ -53,11 +54,8 @@ class LiveParameters:
             self._node.set_parameters(changed)
         self._is_matching = False
 
-    def _with_floats(self, changes: Sequence[Parameter]) -> list[Parameter]:
-        """Accept integers for floats."""
-        return [self._with_float(change) for change in changes]
-
     def _with_float(self, change: Parameter) -> Parameter:
+        """Return a change, with a float where an integer is given for one."""
         name, wanted = change.name, FLOAT_TYPE_OF.get(change.type_)
         if wanted is None or not self._node.has_parameter(name):
             return change

@@ -35,7 +35,7 @@ UNKNOWN_ROBOT = 'unknown robot'
 
 class AdapterSession:
     """
-    Adapter of all robots between messages.
+    Adapter of all robots: messages in, messages out.
 
     Observations are published in the base frames of the robots, with the stamps of the messages. A
     message waits until the pose of its sensor is known from odometry and static transforms.

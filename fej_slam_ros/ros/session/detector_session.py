@@ -35,7 +35,7 @@ MANY_WAITING = 500
 
 
 class _RobotDetector:
-    """The detector of one robot, and what becomes of its messages."""
+    """The detector of one robot, and counts of its messages."""
 
     def __init__(self, settings: DetectorSettings) -> None:
         self.detector = Detector(settings.method(), settings.min_beams, settings.static_time)
@@ -47,7 +47,7 @@ class _RobotDetector:
 
 class DetectorSession:
     """
-    Detectors of all robots between messages.
+    Detectors of all robots: messages in, messages out.
 
     Landmarks have the stamp of the last beam. They are in the base frame of the robot if the pose
     of its laser is known, else in the frame of the laser.

@@ -17,7 +17,7 @@ RobotCounts = tuple[str, str, dict[str, int]]
 
 
 class FrontEnd(Protocol):
-    """A front end of some robots between messages."""
+    """A front end of some robots: messages in, messages out."""
 
     @property
     def robots(self) -> Collection[str]:

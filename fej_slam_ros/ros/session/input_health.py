@@ -137,7 +137,7 @@ class GateCounts(NamedTuple):
 
 
 class RobotHealth:
-    """Use of the input of one robot, between and over reports."""
+    """Counts of used and rejected input of one robot, since the last report and in recent ones."""
 
     def __init__(self) -> None:
         self.unused_since: int | None = None  #: time [ns] since which no observation was used

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fej_slam_ros.core.ordering.time_jump import Consumer, TimeJumpDetector
-from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
+from fej_slam_ros.core.records import AnyScan, NS, Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import (
@@ -87,10 +87,7 @@ class Inputs:
 
     def __init__(self, consumer: Consumer, settings: NodeSettings) -> None:
         self._consumer = consumer
-        # Functions that convert a message to a record, for topics without further checks.
-        self._record_builders: dict[str, Callable[[Message, str], TruePose | PosePrior]] = {
-            'ground_truth': incoming.true_pose,
-            'set_pose': partial(incoming.pose_prior, map_frame=settings.map_frame)}
+        self._map_frame = settings.map_frame
         self.unused: Counter[str] = Counter()
         self.delays: dict[str, int] = {}
         self.clock_offsets = ClockOffsets()
@@ -228,10 +225,11 @@ class Inputs:
         try:
             if kind == 'odom':
                 self._receive_odometry(robot, message, received)
-            elif kind in self._record_builders:
-                record = self._record_builders[kind](message, robot.name)
-                is_accepted = self.time_jump_detector.add(record, received)
-                if is_accepted and kind == 'set_pose':
+            elif kind == 'ground_truth':
+                self.time_jump_detector.add(incoming.true_pose(message, robot.name), received)
+            elif kind == 'set_pose':
+                prior = incoming.pose_prior(message, robot.name, self._map_frame)
+                if self.time_jump_detector.add(prior, received):
                     self.health.receive_pose_prior(robot.name, stamp)
             else:
                 mounted = self._mounted(kind, robot, message, received)
