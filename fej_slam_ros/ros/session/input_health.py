@@ -146,7 +146,7 @@ class RobotHealth:
         self.unused_reasons: Counter[RejectionReason] = Counter()
         self._gate: deque[GateCounts] = deque()
         self._sampled_at: int | None = None
-        self._seen = self._used = self._gated = 0
+        self._seen = self._used = 0
         self._reasons: Counter[RejectionReason] = Counter()
         self._recent: deque[tuple[int, Counter[RejectionReason]]] = deque()
 
@@ -160,8 +160,8 @@ class RobotHealth:
             self._recent.clear()
             if self.unused_since is not None:
                 self.unused_since = min(self.unused_since, now)
-        gated = reasons[RejectionReason.GATED]
-        new = GateCounts(now, max(used - self._used, 0), gated - self._gated)
+        rejected = reasons - self._reasons
+        new = GateCounts(now, max(used - self._used, 0), rejected[RejectionReason.GATED])
         if new.used > 0:
             self.unused_since, self.unused_observations = None, 0
             self.unused_reasons.clear()
@@ -169,13 +169,12 @@ class RobotHealth:
             if self.unused_since is None:
                 self.unused_since = now if self._sampled_at is None else self._sampled_at
             self.unused_observations += seen - self._seen
-            self.unused_reasons += reasons - self._reasons
+            self.unused_reasons += rejected
         self._keep(new)
-        self._recent.append((now, reasons - self._reasons))
+        self._recent.append((now, rejected))
         while now - self._recent[0][0] > RATE_WINDOW:
             self._recent.popleft()
-        self._sampled_at = now
-        self._seen, self._used, self._gated = seen, used, gated
+        self._sampled_at, self._seen, self._used = now, seen, used
         self._reasons = reasons.copy()
 
     def recently_rejected(self) -> Counter[RejectionReason]:
