@@ -108,10 +108,10 @@ class NodeFiles:
             if not self._checkpoint.begin(content):
                 self.note('checkpoint', error)
 
-    def save_checkpoint(self, content: bytes, timeout: float) -> None:
-        """Write a checkpoint; raise UserError if that fails or takes longer than a time [s]."""
+    def save_checkpoint(self, _path: Path, content: bytes) -> None:
+        """Write a checkpoint on request; raise UserError if that fails or takes too long."""
         if self._checkpoint is not None:
-            self._checkpoint.save(content, timeout)
+            self._checkpoint.save(content, REQUEST_WAIT)
 
     def begin(self, is_first: bool) -> None:
         """Begin a run, before its files are opened; all but the first do so even without files."""

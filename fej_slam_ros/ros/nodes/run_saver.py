@@ -10,7 +10,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
+from fej_slam_ros.ros.nodes.node_files import NodeFiles
 from fej_slam_ros.ros.session.session import Session
 
 #: Minimum ratio of the time between two periodic checkpoints to that of making one, for which
@@ -65,8 +65,7 @@ class RunSaver:
     def save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Answer a request of the service ``~/save``."""
         try:
-            path = self._session().save(
-                lambda _, content: self._files.save_checkpoint(content, REQUEST_WAIT))
+            path = self._session().save(self._files.save_checkpoint)
             self._log.info(f'checkpoint written to {path}')
             response.message = f'saved to {path}'
             response.success = True
