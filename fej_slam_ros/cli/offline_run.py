@@ -63,7 +63,7 @@ class Sink(Generic[SessionT]):
         self.close(session)
 
     def write(self, publications: Iterable[Publication]) -> None:
-        """Consume publications."""
+        """Discard publications."""
         for _ in publications:
             pass
 

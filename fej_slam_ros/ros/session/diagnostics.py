@@ -70,7 +70,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
     Attributes
     ----------
-    settings : of the node, others once parameters have changed
+    settings : of the node at present
     step_times : durations [s] of the steps since the last report, added by the caller
     latencies : delays [s] of the poses published since, from stamp to publication, likewise
     callback_times : durations [s] of the callbacks since, which block all others, likewise
@@ -232,12 +232,12 @@ class Diagnostics(ABC, Generic[ConsumerT]):
             f'{self.node_name}: {name}', level, '; '.join(messages) or 'running', values)
 
     def _of_errors(
-        self, name: str, errors: Collection[str], without: str, values: Mapping[str, str]
+        self, name: str, errors: Collection[str], if_none: str, values: Mapping[str, str]
     ) -> Message:
-        """Return a status that is an error if there are any, with a message for none."""
+        """Return a status of errors; `if_none` is its message without any."""
         return outgoing.diagnostic_status(
             f'{self.node_name}: {name}', Level.ERROR if errors else Level.OK,
-            '; '.join(errors) or without, values)
+            '; '.join(errors) or if_none, values)
 
 
 def percentile_values(quantity: str, times: Collection[float]) -> dict[str, float]:

@@ -137,7 +137,7 @@ class GateCounts(NamedTuple):
 
 
 class RobotHealth:
-    """Counts of used and rejected input of one robot, since the last report and in recent ones."""
+    """Counts of used and rejected input of one robot over the latest reports."""
 
     def __init__(self) -> None:
         self.unused_since: int | None = None  #: time [ns] since which no observation was used

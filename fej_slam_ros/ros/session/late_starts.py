@@ -44,7 +44,7 @@ class StartCheck:
     """
     Decides whether the start pose of a robot holds at its first odometry.
 
-    That of `replay` passes all odometry on: a bag is taken to begin where the robots start.
+    This one is that of `replay`: a bag is taken to begin where the robots start.
 
     """
 

@@ -78,7 +78,7 @@ class Outputs(ABC, Generic[ConsumerT]):
 
     Attributes
     ----------
-    settings : of the node, others once parameters have changed
+    settings : of the node at present
 
     """
 
