@@ -1,12 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of a bag with a progress bar, which is shown on a terminal only."""
+"""Messages of a bag for the robots of a team, which it is checked to have."""
 
 from collections.abc import Iterable
 import logging
 from pathlib import Path
-
-from tqdm import tqdm
 
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.errors import UserError
@@ -19,7 +17,7 @@ from fej_slam_ros.ros.session.inputs import expected_topics
 
 def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Iterable[RawMessage]:
     """
-    Return the messages of a bag, read under other names.
+    Return the messages of a bag, read under other names, with a progress bar.
 
     Raises
     ------
@@ -46,7 +44,4 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
         if computed and f'{robot}/landmarks' not in topics:
             logging.getLogger(__name__).warning(
                 '%s has no %s/landmarks: %s', bag, robot, computed)
-    total = sum(topic.messages for topic in topics.values())
-    messages: Iterable[RawMessage] = tqdm(
-        bags.read(bag, names), total=total, unit='msg', disable=None)
-    return messages
+    return bags.read_with_bar(bag, names, topics)

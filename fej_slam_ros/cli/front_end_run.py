@@ -6,15 +6,12 @@ import argparse
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from tqdm import tqdm
-
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, add_storage, parameter_help
 from fej_slam_ros.cli.topic_options import add_topic_names
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.session.front_end import FrontEnd
 from fej_slam_ros.ros.session.outputs import Publication
 
@@ -50,12 +47,9 @@ def write_copy(
     names: TopicNames,
 ) -> None:
     """Write the bag and print what was found and what was rejected."""
-    total = sum(topic.messages for topic in topics.values())
     with bags.BagWriter(arguments.output, arguments.storage, arguments.force) as bag:
         now = 0
-        messages: Iterable[RawMessage] = tqdm(
-            bags.read(arguments.bag, names), total=total, unit='msg', disable=None)
-        for message in messages:
+        for message in bags.read_with_bar(arguments.bag, names, topics):
             now = max(now, message.received or 0)
             if topics[message.topic].is_known:
                 bag.copy(message, topics[message.topic].latched)

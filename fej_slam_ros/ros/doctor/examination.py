@@ -10,9 +10,8 @@ estimated again with the other kind of landmark IDs, shared by all robots or eac
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-
-from tqdm import tqdm
 
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
@@ -58,13 +57,7 @@ def examine(
     team_names = [robot.name for robot in settings.estimation.robots]
     names.check_new(expected_topics(team_names))
     recorded = RecordedRobots(path, names, team_names)
-    size = sum(topic.messages for topic in bag_topics.values())
-
-    def messages() -> Iterable[RawMessage]:
-        bar: Iterable[RawMessage] = tqdm(
-            bags.read(path, names), total=size, unit='msg', disable=None)
-        return bar
-
+    messages = partial(bags.read_with_bar, path, names, bag_topics)
     survey, trial = Survey(), Trial(settings.estimation, settings.node, prior_map(settings))
     for message in messages():
         if message.topic in trial.topics:

@@ -15,6 +15,7 @@ import sqlite3
 from rosbags.interfaces import (
     Connection, Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime)
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import CURES, refuse_existing, writing
 from fej_slam_ros.detection.records import AnyRecord, measured_at
@@ -67,6 +68,15 @@ def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic
                 connection.msgtype, recorded[connection.topic, connection.msgtype],
                 _is_latched(connection), _is_known(connection))
             for connection in reader.connections}
+
+
+def read_with_bar(
+    path: Path, names: TopicNames, found: Mapping[str, BagTopic]
+) -> Iterable[RawMessage]:
+    """Return the messages of a bag whose topics are known, with a progress bar on a terminal."""
+    total = sum(topic.messages for topic in found.values())
+    messages: Iterable[RawMessage] = tqdm(read(path, names), total=total, unit='msg', disable=None)
+    return messages
 
 
 def miscounted(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, tuple[int, int]]:
