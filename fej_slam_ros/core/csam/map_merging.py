@@ -36,7 +36,8 @@ class JoinedMaps(NamedTuple):
     """Result of joining maps."""
 
     maps: list[JointMap]  #: each robot is in one of them
-    failures: list[JoinFailure]  #: rendezvous, or single observations, that were not used
+    #: rendezvous, or single observations, that were not used, and landmarks that were not merged
+    failures: list[JoinFailure]
     #: observations by robot of landmarks that contradicted those of the other map
     outliers: Mapping[str, Sequence[Outlier]]
 
@@ -61,10 +62,21 @@ def join_maps(
     for (pair, rendezvous), _ in failed:
         pooled.setdefault(pair, []).extend(rendezvous)
     failed = merger.apply([*pooled.items()])
+    matched = [*map(_matched, merger.groups)]
     return JoinedMaps(
-        [*map(match_landmarks, merger.groups)],
-        [*merger.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed)],
+        [joint for joint, _ in matched],
+        [*merger.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed),
+         *(failure for _, failure in matched if failure is not None)],
         merger.landmark_outliers)
+
+
+def _matched(joint: JointMap) -> tuple[JointMap, JoinFailure | None]:
+    """Return a map with merged duplicate landmarks, or as it is with the reason."""
+    try:
+        return match_landmarks(joint), None
+    except NoMinimumError as error:
+        return joint, JoinFailure(
+            f'duplicate landmarks are not merged: {error}', robots=tuple(joint.robots))
 
 
 class _MapMerger:

@@ -79,7 +79,8 @@ class TeamMap:
 
     #: the maps; each robot that is not in `unsolved` is in one of them
     maps: tuple[SmoothedMap, ...] = ()
-    #: rendezvous, or single observations, by which robots were not joined
+    #: rendezvous, or single observations, by which robots were not joined, and landmarks that
+    #: were not merged
     not_joined: tuple[JoinFailure, ...] = ()
     #: error message of each robot whose map has no minimum or no covariances
     unsolved: Mapping[str, str] = field(default_factory=dict)

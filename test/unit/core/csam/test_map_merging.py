@@ -8,8 +8,9 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam.maps import LocalMap
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
+from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
@@ -105,6 +106,26 @@ def joined_robots(team):
     """Return the robots of each map after joining, and the failures."""
     groups, failed, _ = joined_maps(team.maps, team.measurements)
     return [group.robots for group in groups], failed
+
+
+def test_robots_whose_landmarks_cannot_be_merged_are_joined_and_the_others_merge_theirs(
+        monkeypatch):
+    team = Met(5, [*PAIR, *((2, 3, k) for k in range(3, 9))], robots=4)
+    (merged, _), *_ = joined_maps(team.maps, team.measurements)
+
+    def does_not_converge(joint, pairs, start):
+        if joint.robots[0] == 'r3':
+            raise ConvergenceError('too far')
+        return with_merged_landmarks(joint, pairs, start)
+
+    with_merged_landmarks = JointMap.with_merged_landmarks
+    monkeypatch.setattr(JointMap, 'with_merged_landmarks', does_not_converge)
+    (first, second), failures, _ = joined_maps(team.maps, team.measurements)
+
+    assert_allclose(first.values.points, merged.values.points)
+    assert (second.robots, len(second.landmarks)) == (('r3', 'r4'), 2 * len(first.landmarks))
+    assert [(f.robots, f.reason) for f in failures] == [
+        (('r3', 'r4'), 'duplicate landmarks are not merged: too far')]
 
 
 def test_robots_without_rendezvous_keep_their_maps():
