@@ -57,7 +57,8 @@ from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    Motion, Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan)
+    Motion, Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan,
+    TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
@@ -80,7 +81,7 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     Standard, FirstEstimates, Ideal, Invariant,
     LandmarkManager, FieldOfView, JointCompatibilityMatcher, LostRobotDetector, MapJoiner,
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
-    Odometry, Scan, Observation, RobotScan, RobotObservation, PosePrior, RendezvousKey,
+    Odometry, Scan, Observation, RobotScan, RobotObservation, PosePrior, TruePose, RendezvousKey,
     Rejection, RejectionReason, RobotSettings,
     TeamSmoother, Keyframes, RobotTrajectory, IncrementalSmoother, NewestPose, NearMarginal,
     Values, OdometryFactors, LandmarkFactors, Motion, RendezvousMeasurement,
@@ -97,7 +98,7 @@ FACTORIES: dict[str, Any] = {'list': list, 'Counter': Counter}
 
 def snapshot(consumer: Estimator | TeamSmoother) -> Plain:
     """Return the state of an estimator or a smoother without its settings, arrays not copied."""
-    return _Encoder(consumer.settings).plain(consumer)
+    return to_plain(consumer, consumer.settings)
 
 
 def restore(plain: Plain, settings: CommonSettings, kind: type[ConsumerT]) -> ConsumerT:
@@ -107,11 +108,21 @@ def restore(plain: Plain, settings: CommonSettings, kind: type[ConsumerT]) -> Co
     Raises ValueError for a class or an attribute that snapshots do not have, and TypeError for a
     snapshot of another kind.
     """
-    consumer = _Decoder(settings).value(plain)
+    consumer = from_plain(plain, settings)
     if not isinstance(consumer, kind):
         raise TypeError(f'not a snapshot of {kind.__name__}')
     consumer.resume()
     return consumer
+
+
+def to_plain(value: object, settings: CommonSettings) -> Plain:
+    """Return a value, of the classes of `SNAPSHOT_CLASSES`, as plain data without settings."""
+    return _Encoder(settings).plain(value)
+
+
+def from_plain(plain: Plain, settings: CommonSettings) -> Any:
+    """Return the value of `to_plain`; errors as of `restore`."""
+    return _Decoder(settings).value(plain)
 
 
 def schema_digest() -> str:

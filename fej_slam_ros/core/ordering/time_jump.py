@@ -149,6 +149,22 @@ class TimeJumpDetector:
             self._reject(record, RejectionReason.LEFT)
         self._newest = {source: n for source, n in self._newest.items() if source[0] != robot}
 
+    @property
+    def held(self) -> Sequence[Held]:
+        """Return the records that are held until the cause of their stamps is known."""
+        return self._held
+
+    def resume(self, held: Sequence[Held]) -> None:
+        """
+        Continue from a checkpoint with the records that were held.
+
+        They are passed on as data of this pass, however late: input from before a checkpoint may
+        be sent again, which is no second pass.
+
+        """
+        for record, received in held:
+            self._consumer.add(record, received)
+
     def close(self) -> None:
         """Pass on the held records: the input has ended without a second pass."""
         for robot in list(self._backward):

@@ -14,6 +14,7 @@ from fej_slam_ros.core.ordering.time_jump import Consumer, TimeJumpDetector
 from fej_slam_ros.core.records import AnyScan, NS, Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.core.snapshot import from_plain, to_plain
 from fej_slam_ros.ros.messages import (
     decoded_as, deserialize, incoming, incoming_clouds, Message, RawMessage, serialize)
 from fej_slam_ros.ros.messages.common import from_time
@@ -174,6 +175,7 @@ class Inputs:
         """Return the state for a checkpoint as plain data."""
         return {
             'unused': self.unused,
+            'held': to_plain([*self.time_jump_detector.held], self._consumer.settings),
             **self.frames.snapshot(),
             'mounts': self._mounts.snapshot(),
             'waiting_scans': {
@@ -186,6 +188,7 @@ class Inputs:
     def restore(self, stored: dict[str, Any]) -> None:
         """Restore the state of a snapshot."""
         self.unused.update(stored['unused'])
+        self.time_jump_detector.resume(from_plain(stored['held'], self._consumer.settings))
         self.frames.restore(stored)
         self._mounts.restore(stored.get('mounts', {}))
         for robot, scans in stored['waiting_scans'].items():

@@ -24,7 +24,8 @@ from fej_slam_ros.ros.session.peer_session import PeerSession
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
 from helpers.ros import (
-    drive, meeting, meeting_truth, raw, raw_record, run_settings, seen, summary_of, write_bag)
+    drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, seen,
+    summary_of, write_bag)
 
 #: A scan that waits until odometry has named its frame, and messages that are not used.
 HELD = raw('r1/landmarks', seen((1, 5.0, 1.0), frame='r1/base_link'), 0)
@@ -76,6 +77,31 @@ def test_a_restored_run_ends_like_the_uninterrupted_run(path, cut):
 
     assert summary_without_files(restored) == summary_without_files(whole)
     assert len(rest) <= len(published)
+
+
+@pytest.mark.parametrize('messages', [
+    # After a stamp far ahead, those that follow may be of another pass.
+    [('r2', 5000, 1000), ('r2', 1100, 1100)],
+    # Odometry of r2 that is three seconds late, and of both robots after it.
+    [('r1', 0, 0), ('r2', 0, 0), ('r1', 4000, 4000), ('r2', 4000, 4000), ('r2', 1000, 4100),
+     ('r1', 4200, 4200), ('r2', 4200, 4200)]])
+def test_messages_that_may_be_of_another_pass_are_used_or_counted_after_a_restart(path, messages):
+    sent = [
+        raw(f'{robot}/odom', odometry_message(ms, (ms / 1000, 0.0, 0.0)), at)
+        for robot, ms, at in messages]
+    whole = EstimatorSession(run_settings(), None)
+    drive(whole, sent)
+
+    for cut in range(len(sent) + 1):
+        interrupted(path, sent[:cut])
+        restored = EstimatorSession(run_settings(restore=str(path)), None)
+        drive(restored, sent[cut:])
+
+        counts = [
+            {robot: (run.estimator.used(robot), run.estimator.statistics.rejected[robot])
+             for robot in ('r1', 'r2')} for run in (restored, whole)]
+        assert counts[0] == counts[1]
+        assert restored.state_hash() == whole.state_hash()
 
 
 @pytest.mark.parametrize('seed', ['1', '2'])
