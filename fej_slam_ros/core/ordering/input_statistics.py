@@ -30,7 +30,8 @@ class InputStatistics:
         self.rejection_counts: defaultdict[str, Counter[RejectionReason]] = defaultdict(Counter)
         #: the newest rejections, until they are published
         self.rejections: deque[Rejection] = deque(maxlen=MAX_PENDING_REJECTIONS)
-        #: steps of a robot at stamps that other robots had already passed
+        #: steps of a robot at stamps that other robots had already passed, and pose priors at
+        #: stamps that the robot itself had passed
         self.released_without: Counter[str] = Counter()
         #: restarts in an own frame, and the reason for the latest one of each robot
         self.relocalized: Counter[str] = Counter()

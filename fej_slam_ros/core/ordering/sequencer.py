@@ -211,6 +211,11 @@ class Sequencer:
         """Return whether odometry of a robot was accepted."""
         return self._queues[robot].odometry.newest is not None
 
+    def has_processed(self, robot: str, stamp: int) -> bool:
+        """Return whether a step of a robot was at a stamp [ns] or later."""
+        processed = self._queues[robot].odometry.processed
+        return processed is not None and stamp <= processed
+
     def _insert(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:
         queue = self._queues.get(record.robot)
         if queue is None:

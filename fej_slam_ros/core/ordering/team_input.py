@@ -10,7 +10,7 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
-    Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
@@ -77,7 +77,7 @@ class TeamInput:
         elif self.settings.is_future(record.stamp, received):
             reason = RejectionReason.FUTURE
         else:
-            return self._pose_priors.add(record)
+            return self._add_pose_prior(record)
         return None if reason is None else self.statistics.reject_record(record, reason)
 
     def used(self, robot: str) -> int:
@@ -88,6 +88,13 @@ class TeamInput:
     def _add_true_pose(self, record: TruePose) -> RejectionReason | None:
         """Add ground truth; return the reason if it is rejected."""
         return self.truth.add(record)
+
+    def _add_pose_prior(self, record: PosePrior) -> RejectionReason | None:
+        """Add a pose prior; the step that uses a delayed one depends on its arrival."""
+        reason = self._pose_priors.add(record)
+        if reason is None and self.sequencer.has_processed(record.robot, record.stamp):
+            self.statistics.released_without[record.robot] += 1
+        return reason
 
     def _end_input(self) -> None:
         """Reject the records that no odometry has reached."""

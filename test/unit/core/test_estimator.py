@@ -605,6 +605,35 @@ def test_landmarks_that_an_ending_process_does_not_start_are_counted():
     assert estimator.statistics.observations_used['r1'] == 2 + 4
 
 
+def test_a_pose_that_arrives_after_its_step_depends_on_arrival_and_says_so():
+    hashes, told = set(), []
+    for is_late in (False, True):
+        estimator = Estimator(team('r1', anchor_sigma=(0.1, 0.1, 0.1)))
+        for ms in range(0, 600, 100):
+            estimator.add(odometry('r1', ms))
+        if is_late:
+            assert [result.stamp // MS for result in estimator.take()] == [0, 100, 200, 300]
+        estimator.add(PosePrior('r1', 300 * MS, np.array([5.0, 1.0, 0.0]), 0.01 * np.eye(3)))
+        list(estimator.close())
+        hashes.add(estimator.state_hash())
+        told.append(estimator.statistics.depends_on_arrival())
+
+    assert len(hashes) == 2
+    assert told == [False, True]
+
+
+def test_a_pose_of_a_step_that_is_still_to_come_depends_on_no_arrival():
+    estimator = Estimator(team('r1'))
+    for ms in range(0, 600, 100):
+        estimator.add(odometry('r1', ms))
+    list(estimator.take())
+    for _ in range(2):
+        estimator.add(PosePrior('r1', 300 * MS + 1, np.zeros(3), np.eye(3)))
+
+    assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.DUPLICATE: 1}
+    assert not estimator.statistics.depends_on_arrival()
+
+
 def test_observations_that_an_ending_process_leaves_out_are_counted(monkeypatch):
     for name in ('MAX_JOINT_OBSERVATIONS', 'MAX_BLOCK_OBSERVATIONS', 'MIN_BLOCK_OBSERVATIONS'):
         monkeypatch.setattr(joint_update, name, 2)
