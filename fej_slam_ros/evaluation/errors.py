@@ -11,7 +11,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, rigid_fit, transform_poses, wrap_all
+from fej_slam_ros.core.consistency import pose_error
+from fej_slam_ros.core.geometry import Array, rigid_fit, transform_poses
 from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
@@ -27,17 +28,14 @@ def statistics(errors: Array) -> dict[str, float]:
 def ape(matched: MatchedPoses, motion: Array | None = None) -> tuple[Array, Array]:
     """Return APE [m] and [rad], (n,) arrays, after a rigid motion (3,) of the estimated poses."""
     poses = matched.poses if motion is None else transform_poses(motion, matched.poses)
-    return (
-        np.linalg.norm(poses[:, :2] - matched.true[:, :2], axis=1),
-        np.abs(wrap_all(poses[:, 2] - matched.true[:, 2])))
+    return _magnitudes(pose_error(poses, matched.true))
 
 
 def rpe(matched: MatchedPoses, length: float) -> tuple[Array, Array]:
     """Return RPE [m] and [rad], (m,) arrays, over segments of at least a length [m]."""
     ends = _segment_ends(matched.poses[:, :2], length)
     estimated, actual = (h_pose(x[ends[:-1]], x[ends[1:]]) for x in (matched.poses, matched.true))
-    error = h_pose(actual, estimated)
-    return np.linalg.norm(error[:, :2], axis=1), np.abs(error[:, 2])
+    return _magnitudes(h_pose(actual, estimated))
 
 
 def alignment(robots: Iterable[MatchedPoses]) -> Array | None:
@@ -49,6 +47,10 @@ def alignment(robots: Iterable[MatchedPoses]) -> Array | None:
     if len(positions) < 2 or not np.ptp(true, axis=0).any():
         return None
     return rigid_fit(positions, true)
+
+
+def _magnitudes(errors: Array) -> tuple[Array, Array]:
+    return np.linalg.norm(errors[:, :2], axis=1), np.abs(errors[:, 2])
 
 
 def _segment_ends(positions: Array, length: float) -> list[int]:

@@ -11,7 +11,8 @@ from matplotlib.patches import Ellipse
 import numpy as np
 from scipy.special import chdtr
 
-from fej_slam_ros.core.geometry import Array, ellipse, wrap_all
+from fej_slam_ros.core.consistency import pose_error
+from fej_slam_ros.core.geometry import Array, ellipse
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.evaluation.coverage import band_per_dof
 from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
@@ -53,8 +54,7 @@ def draw_errors(file: BinaryIO, evaluation: RunEvaluation) -> None:
     figure = Figure(figsize=(11.0, 1.2 + 2.3 * rows), layout='constrained')
     grid = figure.subplots(rows, 3, sharex=True, squeeze=False)
     for row, (name, matched) in zip(grid, evaluation.in_map.items()):
-        errors = matched.poses - matched.true
-        errors[:, 2] = wrap_all(errors[:, 2])
+        errors = pose_error(matched.poses, matched.true)
         seconds = (matched.stamps - _first_stamp(evaluation)) / NS
         for axis, (axes, unit) in enumerate(zip(row, ('x [m]', 'y [m]', 'heading [rad]'))):
             sigma = ELLIPSE_SIGMAS * np.sqrt(np.maximum(matched.P[:, axis, axis], 0.0))

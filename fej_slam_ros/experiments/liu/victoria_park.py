@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
+from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.geometry import Array, compose, Indices, transform, wrap_all
+from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.joining.initial_alignment import closed_form, InitialAlignmentError
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.smoothing.least_squares import (
@@ -273,9 +274,9 @@ def rmse(estimate: ParkEstimate, reference: ParkEstimate) -> dict[str, float]:
     """Return the entries: root mean square over all evaluated steps, or all landmarks."""
     entries = {}
     for robot, first in FIRST_STEPS.items():
-        error = estimate.poses[robot][first:] - reference.poses[robot][first:]
+        error = pose_error(estimate.poses[robot][first:], reference.poses[robot][first:])
         entries[f'{robot}_pos'] = root_mean_square(error[:, :2])
-        entries[f'{robot}_head'] = root_mean_square(wrap_all(error[:, 2:]))
+        entries[f'{robot}_head'] = root_mean_square(error[:, 2:])
     errors = [point - reference.points[id_] for id_, point in estimate.points.items()]
     return {**entries, 'f_pos': root_mean_square(np.array(errors))}
 
@@ -327,8 +328,8 @@ def _as_team(estimate: ParkEstimate, logs: TeamLogs, team: CarTeam) -> ParkEstim
 def _difference(estimate: ParkEstimate, stored: XGni) -> MaxDifference:
     """Return the difference of the one car's estimate from the stored one without last pose."""
     (car,) = estimate.poses.values()
-    poses = car[:len(stored.poses)] - stored.poses
+    poses = pose_error(car[:len(stored.poses)], stored.poses)
     points = np.array([point - stored.points[id_] for id_, point in estimate.points.items()])
     return MaxDifference(
         float(np.linalg.norm(np.concatenate([poses[:, :2], points]), axis=1).max()),
-        float(np.abs(wrap_all(poses[:, 2])).max()))
+        float(np.abs(poses[:, 2]).max()))

@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import nees_per_dof, total_nis_per_dof
+from fej_slam_ros.core.consistency import nees_per_dof, pose_error, total_nis_per_dof
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import (
     Array, compose, Flags, Indices, inverse, pose_rotation, poses_at, rigid_fit, transform,
-    transform_poses, wrap_all)
+    transform_poses)
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, run_settings
@@ -278,10 +278,9 @@ def _errors(trajectory: Trajectory, truth: Series) -> MrclamErrors:
     after = np.searchsorted(trajectory.stamps, truth.stamps)
     used = trajectory.in_map[after] & trajectory.in_map[(after - 1).clip(0)]
     estimated = poses_at(truth.stamps, trajectory.stamps, trajectory.poses)[used]
-    error = estimated - truth.rows[used]
-    error[:, 2] = wrap_all(error[:, 2])
+    true = truth.rows[used]
     return MrclamErrors(
-        estimated, truth.rows[used], nees_per_dof(error, trajectory.P[after][used]),
+        estimated, true, nees_per_dof(pose_error(estimated, true), trajectory.P[after][used]),
         float(trajectory.in_map.mean()))
 
 
@@ -325,8 +324,8 @@ def _nothing_observed_twice(task: MrclamTask) -> str:
 
 def _rmse(estimated: Array, true: Array) -> tuple[float, float]:
     """Return the RMSE of positions [m] and headings [rad] of poses (n, 3)."""
-    errors = estimated - true
-    return root_mean_square(errors[:, :2]), root_mean_square(wrap_all(errors[:, 2:]))
+    errors = pose_error(estimated, true)
+    return root_mean_square(errors[:, :2]), root_mean_square(errors[:, 2:])
 
 
 def _row(result: MrclamRun) -> list[str]:
