@@ -59,7 +59,7 @@ class Load:
             # The robots take turns with their scans, too.
             every = self.odometry_rate // self.scan_rate
             sources += [
-                odometry(own, name, self._sensors(), rng.spawn(1)[0]),
+                odometry(own, name, self._sensors().odometry_sigma, rng.spawn(1)[0]),
                 self._scans(_at(own, slice(k % every, None, every)), name, rng.spawn(1)[0])]
         records: Iterator[Odometry | Scan] = merge(*sources, key=attrgetter('stamp'))
         for record in records:

@@ -16,7 +16,6 @@ from fej_slam_ros.detection.records import measured_at, RobotLaserScan
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim import sensors
 from fej_slam_ros.sim.lidar import LidarSettings, measured, MIN_RANGE, true_ranges
-from fej_slam_ros.sim.sensors import SensorSettings
 from fej_slam_ros.sim.trajectories import intersecting_circles, team_loops
 from fej_slam_ros.sim.world import repeated, step_stamps, World
 
@@ -122,14 +121,13 @@ def measure(
 ) -> Iterator[Odometry | TruePose | TrueLandmarks | RobotLaserScan]:
     """Yield odometry, scans and ground truth as they are measured, the true landmarks first."""
     yield TrueLandmarks(world.landmarks, world.stamps[0])
-    noise = SensorSettings(settings.odometry_sigma, landmark_sigma=(1.0, 1.0))
     lasers: list[Iterator[RobotLaserScan]] = []
     others: list[Iterator[Odometry | TruePose]] = []
     for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
         odometry_rng, scan_rng = robot_rng.spawn(2)
         lasers.append(scans(world, robot, settings, scan_rng))
         others += [
-            sensors.odometry(world, robot, noise, odometry_rng),
+            sensors.odometry(world, robot, settings.odometry_sigma, odometry_rng),
             sensors.true_poses(world, robot)]
     yield from merge(*lasers, *others, key=measured_at)
 

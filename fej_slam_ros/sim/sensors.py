@@ -52,7 +52,7 @@ def measure(world: World, settings: SensorSettings, rng: np.random.Generator) ->
     for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
         odometry_rng, scan_rng, robots_rng, detection_rng = robot_rng.spawn(4)
         sources += [
-            odometry(world, robot, settings, odometry_rng),
+            odometry(world, robot, settings.odometry_sigma, odometry_rng),
             detected(scans(world, robot, settings, scan_rng), settings, detection_rng),
             true_poses(world, robot)]
         if settings.robot_sigma is not None:
@@ -62,21 +62,21 @@ def measure(world: World, settings: SensorSettings, rng: np.random.Generator) ->
 
 
 def odometry(
-    world: World, robot: str, settings: SensorSettings, rng: np.random.Generator
+    world: World, robot: str, sigma: tuple[float, float, float], rng: np.random.Generator
 ) -> Iterator[Odometry]:
     """
     Yield the integrated odometry of a robot from [0, 0, 0].
 
-    The noise is added to the increment in the base frame at its beginning, eq. (2) of [Liu]. The
-    message at its end carries the covariance Q as that of the mean twist, Q / dt^2; the first
-    message has no increment and no covariance.
+    The noise, of standard deviations sigma, is added to the increment in the base frame at its
+    beginning, eq. (2) of [Liu]. The message at its end carries the covariance Q as that of the
+    mean twist, Q / dt^2; the first message has no increment and no covariance.
     """
-    Q = np.diag(np.square(settings.odometry_sigma))
+    Q = np.diag(np.square(sigma))
     poses, stamps = world.true_poses[robot], world.stamps
     pose = np.zeros(3)
     yield Odometry(robot, stamps[0], pose, None)
     for k in range(1, len(stamps)):
-        u = between(poses[k - 1], poses[k]) + rng.normal(0.0, settings.odometry_sigma)
+        u = between(poses[k - 1], poses[k]) + rng.normal(0.0, sigma)
         pose = compose(pose, u)
         dt = (stamps[k] - stamps[k - 1]) * 1e-9
         yield Odometry(robot, stamps[k], pose, Q / dt**2)

@@ -15,7 +15,6 @@ from fej_slam_ros.core.records import NS, TrueLandmarks
 from fej_slam_ros.detection.objects import DetectedObject, ObjectNoise, transform_of
 from fej_slam_ros.detection.records import AnyRecord, measured_at, RobotTags
 from fej_slam_ros.sim import sensors
-from fej_slam_ros.sim.sensors import SensorSettings
 from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
 #: Pose of the camera, looking ahead, by its optical frame (x right, y down, z ahead) in the base
@@ -87,12 +86,11 @@ def measure(
 ) -> Iterator[AnyRecord]:
     """Yield odometry, tags and ground truth as they are measured, the true landmarks first."""
     yield TrueLandmarks(world.landmarks, world.stamps[0])
-    noise = SensorSettings(settings.odometry_sigma, landmark_sigma=(1.0, 1.0))
     sources: list[Iterator[AnyRecord]] = []
     for robot, robot_rng in zip(world.robots, rng.spawn(len(world.robots))):
         odometry_rng, image_rng = robot_rng.spawn(2)
         sources += [
-            sensors.odometry(world, robot, noise, odometry_rng),
+            sensors.odometry(world, robot, settings.odometry_sigma, odometry_rng),
             images(world, robot, settings, image_rng), sensors.true_poses(world, robot)]
     yield from merge(*sources, key=measured_at)
 
