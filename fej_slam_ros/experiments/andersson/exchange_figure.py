@@ -15,7 +15,7 @@ from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.experiments.andersson.exchange import Exchanged, LOSS
 from fej_slam_ros.experiments.andersson.experiment import CsamSolution
 from fej_slam_ros.experiments.andersson.figure import draw_map
-from fej_slam_ros.experiments.common.drawing import draw_ellipse
+from fej_slam_ros.experiments.common.drawing import draw_ellipses
 from fej_slam_ros.palette import ROBOT_COLOURS
 
 SIGMAS = 3.0
@@ -55,8 +55,7 @@ def _draw_own(axes: Axes, joint: JointMap, local: LocalMap, colour: str) -> None
     name = local.robot.upper()
     axes.plot(*joint.values.poses[:, :2].T, color=colour, linewidth=1.0, label=name)
     axes.plot(*joint.values.points.T, '^', color=colour, markersize=3, label=f'landmark of {name}')
-    for point, P_point in zip(joint.values.points, P):
-        draw_ellipse(axes, point, P_point, colour, SIGMAS)
+    draw_ellipses(axes, joint.values.points, P, colour, SIGMAS)
 
 
 def _draw_base_node(axes: Axes, base: BaseNode, pose: Array | None) -> None:
@@ -66,7 +65,7 @@ def _draw_base_node(axes: Axes, base: BaseNode, pose: Array | None) -> None:
     for end in ends:
         axes.plot(*np.array([origin, end]).T, color=colour, linewidth=1.5)
     axes.plot(*origin, 's', color=colour, fillstyle='none', markersize=9, label='start of Q')
-    draw_ellipse(axes, base.pose[:2], base.P[:2, :2], colour, SIGMAS)
+    draw_ellipses(axes, base.pose[None], base.P[None], colour, SIGMAS)
     if pose is not None:
         ahead = transform_poses(pose, np.array([[0.8, 0.0, 0.0]]))[0]
         axes.annotate(

@@ -12,7 +12,7 @@ import numpy as np
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.experiments.andersson.experiment import (
     before_association, CsamSolution, EXPERIMENTS, heading_sigmas, in_own_frame, poses_of)
-from fej_slam_ros.experiments.common.drawing import draw_ellipse, TRUTH_COLOUR
+from fej_slam_ros.experiments.common.drawing import draw_ellipses, TRUTH_COLOUR
 from fej_slam_ros.palette import ROBOT_COLOURS
 
 #: Size of ellipses, as in the paper, so that small ones are visible.
@@ -74,10 +74,10 @@ def _draw_gain(axes: Axes, solution: CsamSolution, joint: JointMap) -> None:
         landmarks = [indices[key] for key in q.landmarks]
         P, P_points = q_map.information().marginals()
         poses = poses_of(q_map, q.robot)
-        for x, P_x in zip(q_map.values.poses[poses][::POSE_STRIDE], P[poses][::POSE_STRIDE]):
-            draw_ellipse(axes, x[:2], P_x[:2, :2], colour, PAPER_SIGMAS)
-        for point, P_point in zip(q_map.values.points[landmarks], P_points[landmarks]):
-            draw_ellipse(axes, point, P_point, colour, PAPER_SIGMAS)
+        drawn = slice(poses.start, poses.stop, POSE_STRIDE)
+        draw_ellipses(axes, q_map.values.poses[drawn], P[drawn], colour, PAPER_SIGMAS)
+        draw_ellipses(
+            axes, q_map.values.points[landmarks], P_points[landmarks], colour, PAPER_SIGMAS)
         axes.plot(*q_map.values.poses[poses, :2].T, color=colour, linewidth=1.0, label=label)
     axes.plot(*own.values.points[landmarks].T, '^', color='black', markersize=3, label='landmark')
     axes.set_title("(b) Q's trajectory and landmarks in the frame of Q's start")
@@ -118,14 +118,13 @@ def draw_map(axes: Axes, joint: JointMap, sigmas: float = PAPER_SIGMAS) -> None:
         poses = poses_of(joint, robot)
         axes.plot(
             *joint.values.poses[poses, :2].T, color=colour, linewidth=1.0, label=robot.upper())
-        for x, P_x in zip(joint.values.poses[poses][::POSE_STRIDE], P[poses][::POSE_STRIDE]):
-            draw_ellipse(axes, x[:2], P_x[:2, :2], colour, sigmas)
+        drawn = slice(poses.start, poses.stop, POSE_STRIDE)
+        draw_ellipses(axes, joint.values.poses[drawn], P[drawn], colour, sigmas)
     owners = np.array([
         BOTH_ROBOTS if len(keys) > 1 else keys[0][0].upper() for keys in joint.landmarks])
     names = (*map(str.upper, joint.robots), BOTH_ROBOTS)
     for owner, colour in zip(names, (*ROBOT_COLOURS[:2], ROBOT_COLOURS[3])):
         points = joint.values.points[owners == owner]
-        for point, P_point in zip(points, P_points[owners == owner]):
-            draw_ellipse(axes, point, P_point, colour, sigmas)
+        draw_ellipses(axes, points, P_points[owners == owner], colour, sigmas)
         if len(points):
             axes.plot(*points.T, '^', color=colour, markersize=3, label=f'landmark of {owner}')

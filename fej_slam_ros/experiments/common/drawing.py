@@ -32,12 +32,13 @@ FILTER_STYLES = {
 }
 
 
-def draw_ellipse(axes: Axes, centre: Array, P: Array, colour: str, sigmas: float) -> None:
-    """Draw the covariance P (2, 2) of a position (2,) as an ellipse of some sigmas."""
-    major, minor, angle = ellipse(P)
-    axes.add_patch(Ellipse(
-        (centre[0], centre[1]), 2.0 * sigmas * major, 2.0 * sigmas * minor,
-        angle=math.degrees(angle), fill=False, edgecolor=colour, linewidth=0.8, alpha=0.8))
+def draw_ellipses(axes: Axes, x: Array, P: Array, colour: str, sigmas: float) -> None:
+    """Draw covariances P (n, d, d) of poses or points x (n, d) as position ellipses of sigmas."""
+    for (x_k, y_k), P_k in zip(x[:, :2], P[:, :2, :2]):
+        major, minor, angle = ellipse(P_k)
+        axes.add_patch(Ellipse(
+            (x_k, y_k), 2.0 * sigmas * major, 2.0 * sigmas * minor, angle=math.degrees(angle),
+            fill=False, edgecolor=colour, linewidth=0.8, alpha=0.8))
 
 
 def scale_by_logarithm(axes: Axes) -> None:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.experiments.common.drawing import draw_ellipse, TRUTH_COLOUR
+from fej_slam_ros.experiments.common.drawing import draw_ellipses, TRUTH_COLOUR
 from fej_slam_ros.figure_files import save
 from fej_slam_ros.palette import robot_colour
 
@@ -39,11 +39,9 @@ def draw_scene(
         colour = robot_colour(index)
         axes.plot(x[:, 0], x[:, 1], color=colour, linewidth=1.2, label=f'{name}, estimated')
         stride = max(1, len(x) // MAX_ELLIPSES)
-        for pose, P in zip(x[::stride], covariances[name][::stride]):
-            draw_ellipse(axes, pose[:2], P[:2, :2], colour, ELLIPSE_SIGMAS)
+        draw_ellipses(axes, x[::stride], covariances[name][::stride], colour, ELLIPSE_SIGMAS)
     axes.plot(*points.T, '^', markersize=3, color='black', label='landmark, estimated')
-    for point, P in zip(points, point_covariances):
-        draw_ellipse(axes, point, P, 'black', ELLIPSE_SIGMAS)
+    draw_ellipses(axes, points, point_covariances, 'black', ELLIPSE_SIGMAS)
     axes.plot(
         [], [], 'o', fillstyle='none', color=TRUTH_COLOUR, markersize=9, label='3-sigma ellipse')
     for x in true_poses.values():
