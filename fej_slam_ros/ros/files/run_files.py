@@ -6,9 +6,10 @@ Output files of a run, the same for `replay`, `smooth` and a node.
 Rows are written during the run, into ``*.part`` files that are renamed when they are complete.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
+from itertools import chain
 import math
 from pathlib import Path
 from typing import Any
@@ -112,9 +113,8 @@ class RunFiles:
 
     def flush(self) -> None:
         """Write what waits."""
-        for trajectory in self._trajectories.values():
-            for part in trajectory.parts:
-                part.flush()
+        for part in self._parts():
+            part.flush()
 
     def discard(self) -> None:
         """Delete the files that are not complete."""
@@ -148,14 +148,11 @@ class RunFiles:
         """
         for estimate in poses:
             self._append(estimate)
-        last = [
-            partial(self._write_landmarks, maps, shared_ids),
-            *(partial(write_json, self.folder / f'{name}.json', content)
-              for name, content in contents.items())]
-        names = ['landmarks.csv', *(f'{name}.json' for name in contents)]
-        parts = [part for trajectory in self._trajectories.values() for part in trajectory.parts]
-        errors = _errors_of([
-            *((part.path.name, part.keep) for part in parts), *zip(names, last)])
+        errors = _errors_of({
+            **{part.path.name: part.keep for part in self._parts()},
+            'landmarks.csv': partial(self._write_landmarks, maps, shared_ids),
+            **{f'{name}.json': partial(write_json, self.folder / f'{name}.json', content)
+               for name, content in contents.items()}})
         self._end(PartFile.close)
         if errors:
             raise IncompleteError(errors)
@@ -165,10 +162,12 @@ class RunFiles:
         trajectory = self._trajectories.get(estimate.robot)
         return 0 if trajectory is None else trajectory.write(estimate)
 
+    def _parts(self) -> Iterator[PartFile]:
+        return chain.from_iterable(one.parts for one in self._trajectories.values())
+
     def _end(self, close: Callable[[PartFile], object]) -> None:
-        for trajectory in self._trajectories.values():
-            for part in trajectory.parts:
-                close(part)
+        for part in self._parts():
+            close(part)
         self._lock.release()
 
     def _write_landmarks(self, maps: Iterable[MapEstimate], shared_ids: bool) -> None:
@@ -203,18 +202,15 @@ class IncompleteError(UserError):
         super().__init__(f'{next(iter(errors.values()))}; {self.consequence}')
 
 
-def _errors_of(writers: Iterable[tuple[str, Callable[[], None]]]) -> dict[str, UserError]:
-    """Call writers of files; return the error of each file that was not written."""
-    found = ((name, _error_of(write)) for name, write in writers)
-    return {name: error for name, error in found if error is not None}
-
-
-def _error_of(write: Callable[[], None]) -> UserError | None:
-    try:
-        write()
-    except UserError as error:
-        return error
-    return None
+def _errors_of(writers: Mapping[str, Callable[[], None]]) -> dict[str, UserError]:
+    """Write files by name; return the error of each that was not written."""
+    errors = {}
+    for name, write in writers.items():
+        try:
+            write()
+        except UserError as error:  # noqa: PERF203
+            errors[name] = error
+    return errors
 
 
 def _delete_incomplete(folder: Path) -> None:
