@@ -9,7 +9,7 @@ robot and the landmark is then known twice, and agrees if the clocks of both rob
 
 from collections import defaultdict
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -36,8 +36,8 @@ class ClockEvidence:
 
     truth: Series  #: its true poses, in the order of stamps
     moving: Container[int]  #: subjects that are no landmarks
-    robot: int = 0  #: its own subject
-    others: Mapping[int, ClockPart] = field(default_factory=dict)  #: other robots, by subject
+    robot: int  #: its own subject
+    others: Mapping[int, ClockPart]  #: other robots, by subject
 
     def errors(self, drives: Sequence[ClockPart]) -> Sequence[float] | None:
         """Return the error of a drive on each of several clocks; None without evidence."""
@@ -53,7 +53,7 @@ class ClockEvidence:
         commands = drive.commands
         within = self.truth.between(commands.stamps[0], commands.stamps[-1])
         seconds = within.stamps // MIN_WINDOW
-        within = within.where(np.diff(seconds, prepend=-1) > 0)
+        within = within[np.diff(seconds, prepend=-1) > 0]
         used = np.diff(within.stamps) <= MAX_WINDOW
         if used.sum() < MIN_WINDOWS:
             return np.inf
@@ -77,7 +77,7 @@ class ClockEvidence:
     ) -> dict[int, list[float]]:
         """Return how much distances of a robot from landmarks differ for both, by meeting."""
         differences: defaultdict[int, list[float]] = defaultdict(list)
-        meetings = observer.observations.where(observer.observations.rows[:, 0] == subject)
+        meetings = observer.observations[observer.observations.rows[:, 0] == subject]
         meetings = meetings.between(observed.commands.stamps[0], observed.commands.stamps[-1])
         meetings = meetings[::max(len(meetings) // MAX_OBSERVATIONS, 1)]
         poses = poses_at(
@@ -97,7 +97,7 @@ class ClockEvidence:
         is_landmark = np.array(
             [subject not in self.moving for subject in part.observations.rows[:, 0].astype(int)],
             dtype=bool)
-        observations = part.observations.where(is_landmark)
+        observations = part.observations[is_landmark]
         return Series(observations.stamps, np.column_stack([
             observations.rows[:, 0], positions(part.commands, observations)]))
 

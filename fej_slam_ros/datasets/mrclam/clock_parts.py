@@ -36,10 +36,10 @@ class ClockPart:
         is_later = self.observations.stamps >= begin
         return (
             ClockPart(
-                self.commands[:row], self.observations.where(~is_later),
+                self.commands[:row], self.observations[~is_later],
                 tuple(stamp for stamp in self.joints if stamp < begin)),
             ClockPart(
-                self.commands[row:], self.observations.where(is_later),
+                self.commands[row:], self.observations[is_later],
                 tuple(stamp for stamp in self.joints if stamp >= begin)))
 
     def is_next_to(self, other: 'ClockPart') -> bool:

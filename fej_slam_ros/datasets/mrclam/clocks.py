@@ -68,7 +68,7 @@ def _without_steps_back(
     commands, observations = (
         _without_repeated(series, counts) for series in (commands, observations))
     if breaks(commands.stamps):
-        commands = commands.reordered(recorded_order(commands.stamps))
+        commands = commands[recorded_order(commands.stamps)]
     drives: list[list[ClockPart]] = []
     for part in _parts(commands, observations, counts):
         if drives and _goes_on(drives[-1][-1], part, evidence.moving):

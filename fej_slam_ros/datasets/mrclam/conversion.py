@@ -146,10 +146,10 @@ def observations(
     }.items():
         counts[reason] += int((wanted & ~accepted).sum())
         wanted &= accepted
-    rows = rows.where(wanted)
+    rows = rows[wanted]
     kept = _thinned(rows, round(options.thin * NS))
     counts['observation thinned'] += int((~kept).sum())
-    used = rows.where(kept)
+    used = rows[kept]
     used.rows[:, 2] -= bearing_offset(robot, options)[0]
     return used
 
@@ -162,7 +162,7 @@ def truth(log: RobotLog, options: ConversionOptions) -> Series:
     are close in time.
     """
     stamps, poses = odometry(log, options)
-    within = log.truth.where((log.truth.stamps >= stamps[0]) & (log.truth.stamps <= stamps[-1]))
+    within = log.truth.between(stamps[0], stamps[-1])
     gaps = np.diff(within.stamps, prepend=-NS, append=LAST_SECOND * NS)
     after = np.searchsorted(stamps, within.stamps).clip(1)
     wait = stamps[after] - within.stamps

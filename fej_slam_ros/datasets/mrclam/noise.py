@@ -140,7 +140,7 @@ def _own_turns(log: RobotLog, options: ConversionOptions) -> tuple[float, float]
     stamps, poses = odometry(log, options)
     true = log.truth.between(stamps[0], stamps[-1])
     windows = (true.stamps - stamps[0]) // round(GROWTH_WINDOW * NS)
-    true = true.where(np.diff(windows, prepend=-1) > 0)
+    true = true[np.diff(windows, prepend=-1) > 0]
     dt = np.diff(stamps)[:, None] / NS
     amounts = np.hstack([
         log.commands.rows[:-1] * options.odometry_scale * dt,

@@ -107,8 +107,7 @@ def with_known_anchor(data: MrclamSet, options: ConversionOptions) -> MrclamSet:
     # The last command before it: its motion leads to the true pose.
     begin = np.searchsorted(stamps, log.truth.stamps[first], 'right') - 1
     counts = log.counts + Counter({'command before the first true pose': int(begin)})
-    kept = replace(
-        log, commands=log.commands.where(np.arange(len(log.commands)) >= begin), counts=counts)
+    kept = replace(log, commands=log.commands[begin:], counts=counts)
     return replace(data, logs={**data.logs, anchor: kept})
 
 
@@ -124,7 +123,7 @@ def _anchor(
     """
     def rank(robot: int) -> tuple[bool, bool, bool, float]:
         rows = observations(data, robot, options, Counter())
-        of_landmarks = rows.where(~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS))
+        of_landmarks = rows[~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS)]
         known = starts[robot]
         sigma = known[1][2] if known else math.inf
         has_turned, variance = False, math.inf

@@ -24,25 +24,17 @@ class Series:
     def __len__(self) -> int:
         return len(self.stamps)
 
-    def __getitem__(self, rows: slice) -> 'Series':
-        """Return successive rows."""
+    def __getitem__(self, rows: slice | Indices | Flags) -> 'Series':
+        """Return some of the rows, as an array does: successive, in an order, or where true."""
         return Series(self.stamps[rows], self.rows[rows])
-
-    def reordered(self, order: Indices) -> 'Series':
-        """Return the rows in another order."""
-        return Series(self.stamps[order], self.rows[order])
-
-    def where(self, wanted: Flags) -> 'Series':
-        """Return some of the rows."""
-        return Series(self.stamps[wanted], self.rows[wanted])
 
     def between(self, first: int, last: int) -> 'Series':
         """Return the rows from one stamp to another, both included."""
-        return self.where((first <= self.stamps) & (self.stamps <= last))
+        return self[(first <= self.stamps) & (self.stamps <= last)]
 
     def in_order(self) -> 'Series':
         """Return the rows in the order of stamps; those of one stamp keep their order."""
-        return self.reordered(np.argsort(self.stamps, kind='stable'))
+        return self[np.argsort(self.stamps, kind='stable')]
 
     def shifted(self, shift: int) -> 'Series':
         """Return the rows with stamps on another clock [ns]."""
@@ -58,4 +50,4 @@ def joined(parts: Sequence[Series]) -> Series:
 def drop(series: Series, unwanted: Flags, reason: str, counts: Counter[str]) -> Series:
     """Return a series without some of its rows, which are counted."""
     counts[reason] += int(unwanted.sum())
-    return series.where(~unwanted)
+    return series[~unwanted]

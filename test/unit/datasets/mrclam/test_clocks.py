@@ -56,7 +56,7 @@ def at(seconds):
 
 def cut(series, *edges):
     """Return the parts of a series between times [s]."""
-    return [series.where((at(a) <= series.stamps) & (series.stamps < at(b)))
+    return [series[(at(a) <= series.stamps) & (series.stamps < at(b))]
             for a, b in pairwise(edges)]
 
 
@@ -96,7 +96,7 @@ def test_a_buffer_that_is_written_late_is_sorted_in():
 
 def test_a_stretch_that_is_in_both_of_two_logs_is_used_once():
     series = drive(3)[:2]
-    glued = [joined([s.where(s.stamps < at(70)), s.where(s.stamps >= at(50))]) for s in series]
+    glued = [joined([s[s.stamps < at(70)], s[s.stamps >= at(50)]]) for s in series]
 
     found, seen, counts = ordered(*glued)
 
@@ -113,8 +113,8 @@ def test_a_clock_that_was_set_back_goes_on_as_true_poses_tell(back, when, right)
     # The stamps before were right and those after lag, or those before were ahead.
     before, after = (0.0, -back) if right == 'before' else (back, 0.0)
     stepped = [joined([
-        s.where(s.stamps < at(when)).shifted(round(before * S)),
-        s.where(s.stamps >= at(when)).shifted(round(after * S))]) for s in series]
+        s[s.stamps < at(when)].shifted(round(before * S)),
+        s[s.stamps >= at(when)].shifted(round(after * S))]) for s in series]
 
     found, seen, counts = ordered(*stepped, truth)
 
@@ -131,8 +131,8 @@ def test_a_clock_that_was_set_forward_goes_on_as_true_poses_tell(forward, right)
     *series, truth = drive(4)
     before, after = (0.0, forward) if right == 'before' else (-forward, 0.0)
     stepped = [joined([
-        s.where(s.stamps < at(60)).shifted(round(before * S)),
-        s.where(s.stamps >= at(60)).shifted(round(after * S))]) for s in series]
+        s[s.stamps < at(60)].shifted(round(before * S)),
+        s[s.stamps >= at(60)].shifted(round(after * S))]) for s in series]
 
     found, seen, counts = ordered(*stepped, truth)
 
@@ -146,7 +146,7 @@ def test_a_clock_that_was_set_forward_goes_on_as_true_poses_tell(forward, right)
 @pytest.mark.parametrize('known', [True, False])
 def test_a_gap_in_a_log_is_no_clock_that_was_set_forward(known):
     *series, truth = drive(4)
-    with_gap = [s.where((s.stamps < at(60)) | (s.stamps >= at(70))) for s in series]
+    with_gap = [s[(s.stamps < at(60)) | (s.stamps >= at(70))] for s in series]
 
     found, seen, counts = ordered(*with_gap, truth if known else UNUSED)
 
@@ -158,10 +158,10 @@ def test_a_gap_in_a_log_is_no_clock_that_was_set_forward(known):
 def test_a_clock_that_may_have_been_set_forward_is_kept_where_nothing_tells():
     commands, observations, _ = drive(4)
     forward = commands.shifted(5 * S)
-    stepped = joined([commands.where(commands.stamps < at(60)), forward.where(
-        forward.stamps >= at(65))])
+    stepped = joined([
+        commands[commands.stamps < at(60)], forward[forward.stamps >= at(65)]])
 
-    found, _, counts = ordered(stepped, observations.where(observations.stamps < at(60)))
+    found, _, counts = ordered(stepped, observations[observations.stamps < at(60)])
 
     assert_equal(found, stepped)
     assert counts == {}
@@ -187,8 +187,8 @@ def test_without_true_poses_the_robots_that_are_met_tell_which_clock_was_right(r
     # The wrong part is the longer one.
     when, before, after = (100.0, 0, -8 * S) if right == 'before' else (200.0, 8 * S, 0)
     stepped = [joined([
-        s.where(s.stamps < at(when)).shifted(before),
-        s.where(s.stamps >= at(when)).shifted(after)]) for s in (commands, landmarks)]
+        s[s.stamps < at(when)].shifted(before),
+        s[s.stamps >= at(when)].shifted(after)]) for s in (commands, landmarks)]
 
     found, seen, counts = ordered(*stepped, others={2: ClockPart(*other)})
 
@@ -201,7 +201,7 @@ def test_without_true_poses_the_robots_that_are_met_tell_which_clock_was_right(r
 def test_without_true_poses_the_longer_part_keeps_its_stamps():
     series = drive(5)[:2]
     stepped = [joined([
-        s.where(s.stamps < at(90)), s.where(s.stamps >= at(90)).shifted(-10 * S)])
+        s[s.stamps < at(90)], s[s.stamps >= at(90)].shifted(-10 * S)])
         for s in series]
 
     found, _, counts = ordered(*stepped)
@@ -209,7 +209,7 @@ def test_without_true_poses_the_longer_part_keeps_its_stamps():
     assert found.stamps[0] == series[0].stamps[0]
     assert counts[
         'row shifted by +10.000 s (its clock was set back, nothing tells which was right)'] == sum(
-        len(s.where(s.stamps >= at(90))) for s in series)
+        len(s[s.stamps >= at(90)]) for s in series)
 
 
 def test_another_recording_at_the_same_time_is_left_out():
@@ -228,7 +228,7 @@ def test_another_recording_at_the_same_time_is_left_out():
 def test_observations_stay_with_a_recording_to_whose_commands_those_of_another_are_joined():
     commands, observations, _ = drive(7)
     other, *_ = drive(8)
-    other = other.where(other.stamps < at(60))
+    other = other[other.stamps < at(60)]
 
     found, seen, counts = ordered(joined([commands, other]), observations)
 
@@ -240,8 +240,8 @@ def test_observations_stay_with_a_recording_to_whose_commands_those_of_another_a
 def test_where_only_commands_step_back_observations_in_the_repeated_time_are_left_out():
     commands, observations, _ = drive(8)
     stepped = joined([
-        commands.where(commands.stamps < at(60)),
-        commands.where(commands.stamps >= at(60)).shifted(-4 * S)])
+        commands[commands.stamps < at(60)],
+        commands[commands.stamps >= at(60)].shifted(-4 * S)])
 
     found, seen, counts = ordered(stepped, observations)
 
