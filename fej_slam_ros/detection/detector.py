@@ -6,6 +6,8 @@ from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from operator import attrgetter
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +44,14 @@ class StampedScan:
         return self.stamp + self.scan.duration
 
 
+class _OdometryPose(NamedTuple):
+    """A pose by odometry."""
+
+    stamp: int  #: [ns]
+    pose: Array  #: (3,) array [m, m, rad]
+    Q: Array  #: (3, 3) covariance of all increments up to it
+
+
 class Detector:
     """
     Finds the landmarks of one robot.
@@ -73,10 +83,7 @@ class Detector:
         self._min_beams = min_beams
         self._static_time = round(static_time * NS)
         self._static = self._new_filter()
-        self._stamps: list[int] = []
-        self._poses: list[Array] = []
-        # Covariance (3, 3) of all increments up to each pose.
-        self._sums: list[Array] = []
+        self._odometry: list[_OdometryPose] = []
         self._waiting: deque[StampedScan] = deque()
         self._newest_scan: int | None = None
         self.rejected: Counter[RejectedSegment] = Counter()
@@ -89,22 +96,19 @@ class Detector:
 
     def add_odometry(self, record: Odometry) -> None:
         """Add odometry; a record that is not newer than all before is counted and ignored."""
-        before = self._stamps[-1] if self._stamps else None
-        if before is not None and before - record.stamp > MAX_WAIT:
+        if self._odometry and self._odometry[-1].stamp - record.stamp > MAX_WAIT:
             self._restart()
-            before = None
-        if before is not None and record.stamp <= before:
-            self.late_odometry += 1
-            return
         Q = np.zeros((3, 3))
-        if before is not None and record.twist_covariance is not None:
-            Q = ((record.stamp - before) / NS) ** 2 * record.twist_covariance
-        self._sums.append(self._sums[-1] + Q if self._sums else Q)
-        self._stamps.append(record.stamp)
-        self._poses.append(record.pose)
-        if len(self._stamps) > MAX_POSES:
-            for of_pose in (self._stamps, self._poses, self._sums):
-                del of_pose[:MAX_POSES // 2]
+        if self._odometry:
+            before, _, Q = self._odometry[-1]
+            if record.stamp <= before:
+                self.late_odometry += 1
+                return
+            if record.twist_covariance is not None:
+                Q = Q + ((record.stamp - before) / NS) ** 2 * record.twist_covariance
+        self._odometry.append(_OdometryPose(record.stamp, record.pose, Q))
+        if len(self._odometry) > MAX_POSES:
+            del self._odometry[:MAX_POSES // 2]
 
     def add_scan(self, scan: StampedScan) -> bool:
         """Add a scan; return whether it is newer than all before, as it must be."""
@@ -135,16 +139,14 @@ class Detector:
         self.lost += len(self._waiting)
         self._waiting.clear()
         self._newest_scan = None
-        for of_pose in (self._stamps, self._poses, self._sums):
-            of_pose.clear()
+        self._odometry.clear()
         self._static = self._new_filter()
 
     def _new_filter(self) -> StaticFilter | None:
         return StaticFilter(self._static_time) if self._static_time > 0 else None
 
     def _is_ready(self, scan: StampedScan) -> bool:
-        newest = self._stamps[-1] if self._stamps else None
-        if newest is not None and newest >= scan.end:
+        if self._odometry and self._odometry[-1].stamp >= scan.end:
             return True
         return self._newest_scan is not None and self._newest_scan - scan.stamp > MAX_WAIT
 
@@ -156,9 +158,9 @@ class Detector:
             found = self._detect(scan.scan)
             found = found.select(found.is_certain, RejectedSegment.OCCLUDED)
         else:
-            laser = compose(end[0], scan.mount)
-            u = between(laser, compose(begin[0], scan.mount))
-            found = self._corrected(scan, u, end[1] - begin[1])
+            laser = compose(end.pose, scan.mount)
+            u = between(laser, compose(begin.pose, scan.mount))
+            found = self._corrected(scan, u, end.Q - begin.Q)
             found = self._without_uncertain(scan.end, laser, found)
         found = found.select(found.counts >= self._min_beams, RejectedSegment.FEW_BEAMS)
         self.rejected += found.rejected
@@ -203,17 +205,17 @@ class Detector:
         R = found.R + share[:, None, None] * (J @ Q @ J.transpose(0, 2, 1))
         return replace(found, points=points, R=R)
 
-    def _at(self, stamp: int) -> tuple[Array, Array] | None:
-        """Return the pose by odometry and the sum of covariances, None without odometry around."""
-        after = bisect_right(self._stamps, stamp)
-        if after and self._stamps[after - 1] == stamp:
-            return self._poses[after - 1], self._sums[after - 1]
-        if after in (0, len(self._stamps)):
+    def _at(self, stamp: int) -> _OdometryPose | None:
+        """Return the pose at a stamp, interpolated; None without odometry around."""
+        after = bisect_right(self._odometry, stamp, key=attrgetter('stamp'))
+        if after and self._odometry[after - 1].stamp == stamp:
+            return self._odometry[after - 1]
+        if after in (0, len(self._odometry)):
             return None
-        first, last = self._stamps[after - 1], self._stamps[after]
-        if last - first > MAX_WAIT:
+        first, last = self._odometry[after - 1:after + 1]
+        if last.stamp - first.stamp > MAX_WAIT:
             return None
-        share = (stamp - first) / (last - first)
-        return (
-            interpolated(self._poses[after - 1], self._poses[after], share),
-            (1.0 - share) * self._sums[after - 1] + share * self._sums[after])
+        share = (stamp - first.stamp) / (last.stamp - first.stamp)
+        return _OdometryPose(
+            stamp, interpolated(first.pose, last.pose, share),
+            (1.0 - share) * first.Q + share * last.Q)
