@@ -121,16 +121,13 @@ def _recorded(
 def _logs(recorded: Sequence[RobotLog]) -> list[RobotLog]:
     """Return logs in the order of stamps; clocks that were set last, which others may tell."""
     ordered: dict[int, ClockPart] = {}
-    for log in sorted(recorded, key=_is_doubtful):
+    by_doubt = sorted(
+        recorded, key=lambda log: (bool(breaks(log.commands.stamps)), -len(log.truth)))
+    for log in by_doubt:
         evidence = ClockEvidence(log.truth, ROBOT_SUBJECTS, log.robot, {
             robot: part for robot, part in ordered.items() if len(part.commands) > 1})
         ordered[log.robot] = in_order(log.commands, log.observations, evidence, log.counts)
     return [_checked(log, ordered[log.robot]) for log in recorded]
-
-
-def _is_doubtful(log: RobotLog) -> tuple[bool, int]:
-    """Return what sorts the logs by how well their clocks are known."""
-    return bool(breaks(log.commands.stamps)), -len(log.truth)
 
 
 def _unused(log: RobotLog) -> Counter[str]:
