@@ -63,6 +63,7 @@ class RunEvaluation:
         self.nees = {name: values for name, (values, _) in rated.items()}
         self._consistency = {name: statistics for name, (_, statistics) in rated.items()}
         self.team_alignment = errors.alignment(self.in_map.values())
+        self._alignments = {n: errors.alignment([matched]) for n, matched in self.matched.items()}
 
     def as_dict(self) -> dict[str, Any]:
         """Return all results as plain data."""
@@ -82,22 +83,21 @@ class RunEvaluation:
             'compared': 0 if matched is None else len(matched.stamps), 'nis': self._nis([name])}
         if matched is not None:
             report |= self._errors([name])
-            report['robot_alignment'] = _plain(errors.alignment([matched]))
+            report['robot_alignment'] = _plain(self._alignments[name])
         return report
 
     def _errors(self, names: Sequence[str]) -> dict[str, Any]:
         robots = [self.matched[name] for name in names]
         in_map = [matched for matched in robots if matched.in_map]
         team = self.team_alignment
-        motions = [(matched, errors.alignment([matched])) for matched in robots]
         return {
             'ape': {
                 UNALIGNED: _pooled(map(errors.ape, in_map)),
                 TEAM_ALIGNED: None if team is None else _pooled(
                     errors.ape(matched, team) for matched in in_map),
                 ROBOT_ALIGNED: _pooled(
-                    errors.ape(matched, motion) for matched, motion in motions
-                    if motion is not None)},
+                    errors.ape(self.matched[name], motion) for name in names
+                    if (motion := self._alignments[name]) is not None)},
             'rpe': {
                 f'{length:g}': _pooled(errors.rpe(matched, length) for matched in robots)
                 for length in self._lengths},
