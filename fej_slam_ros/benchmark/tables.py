@@ -159,15 +159,12 @@ def budget_table(budgets: Sequence[MessageBudget]) -> str:
 
 def live_table(times: Sequence[LiveTime]) -> str:
     """Return the results of each load."""
-    return text_table(LIVE_HEAD, map(_live_row, times))
-
-
-def _live_row(time: LiveTime) -> tuple[str, ...]:
-    late = time.latency.median, time.latency.p99, time.latency.longest, time.waited.median
-    counts = time.sent, time.received, time.used, time.steps, time.poses
-    return (
-        f'{time.robots} x {time.odometry_rate} Hz', *map(str, counts), f'{100.0 * time.cpu:.0f} %',
-        *(f'{t * 1e3:.1f}' for t in late))
+    return text_table(LIVE_HEAD, [
+        (f'{time.robots} x {time.odometry_rate} Hz',
+         *map(str, (time.sent, time.received, time.used, time.steps, time.poses)),
+         f'{100.0 * time.cpu:.0f} %', *(f'{t * 1e3:.1f}' for t in (
+             time.latency.median, time.latency.p99, time.latency.longest, time.waited.median)))
+        for time in times])
 
 
 def _cells(times: Times, scale: float, form: str) -> tuple[str, ...]:

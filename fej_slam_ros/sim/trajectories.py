@@ -37,13 +37,8 @@ def figure_eight(length: float, steps: int) -> Array:
     t = 2.0 * np.pi * np.arange(steps) / steps
     x, y = np.sin(t) * np.cos(t), np.cos(t) - 1.0
     unit = _closed(x, y, np.arctan2(-np.sin(t), np.cos(2.0 * t)))
-    scale = length / polyline_length(unit)
+    scale = length / float(np.hypot(*np.diff(unit[:, :2], axis=0).T).sum())
     return unit * [scale, scale, 1.0]
-
-
-def polyline_length(poses: Array) -> float:
-    """Return the length [m] of the straight lines that join successive poses."""
-    return float(np.sum(np.hypot(*np.diff(poses[:, :2], axis=0).T)))
 
 
 def intersecting_circles(lengths: tuple[float, float], steps: int) -> LoopPair:

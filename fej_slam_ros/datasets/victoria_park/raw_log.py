@@ -112,10 +112,13 @@ class RawLog:
 def read(folder: Path) -> RawLog:
     """Return the log in a folder, without tree IDs."""
     require_folder(folder, 'the Victoria Park data')
-    return RawLog(
-        _wheels(folder / 'aa3_dr.mat'),
-        _trees(folder / 'scan_time.csv', folder / 'detections.csv'),
-        _fixes(folder / 'aa3_gpsx.mat'))
+    wheel_file, fix_file = folder / 'aa3_dr.mat', folder / 'aa3_gpsx.mat'
+    with errors_name(wheel_file):
+        of_wheels = wheels(*_columns(wheel_file, WHEEL_VARIABLES))
+    trees = _trees(folder / 'scan_time.csv', folder / 'detections.csv')
+    with errors_name(fix_file):
+        of_antenna = fixes(*_columns(fix_file, FIX_VARIABLES))
+    return RawLog(of_wheels, trees, of_antenna)
 
 
 def with_ids(trees: TreeScans, path: Path) -> TreeScans:
@@ -177,16 +180,6 @@ def increasing_stamps(ms: Array) -> Integers:
     if not (np.diff(stamps) > 0).all() or stamps[0] < 0:
         raise UserError('its times do not increase')
     return stamps
-
-
-def _wheels(path: Path) -> Wheels:
-    with errors_name(path):
-        return wheels(*_columns(path, WHEEL_VARIABLES))
-
-
-def _fixes(path: Path) -> Fixes:
-    with errors_name(path):
-        return fixes(*_columns(path, FIX_VARIABLES))
 
 
 def _trees(times: Path, detections: Path) -> TreeScans:

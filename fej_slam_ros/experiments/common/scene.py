@@ -22,7 +22,7 @@ def draw_scene(
     file: BinaryIO, title: str, poses: Mapping[str, Array],
     covariances: Mapping[str, Array], points: Array, point_covariances: Array,
     true_poses: Mapping[str, Array], true_points: Array,
-    draw_world: Callable[[Axes], None] = lambda axes: None,
+    draw_world: Callable[[Axes], None],
 ) -> None:
     """
     Draw the estimates and the ground truth of a run, all in the frame ``map``, as a PNG.

@@ -68,16 +68,13 @@ def _true_folder(folder: Path) -> RecordedTruth:
             f'{folder} is no rosbag2 and has no <robot>.tum: give a bag with <robot>/ground_truth,'
             ' or a folder of TUM files, with --truth')
     truth = RecordedTruth()
-    truth.add(TrueLandmarks(_true_landmarks(folder)))
+    landmarks = folder / 'landmarks.csv'
+    if landmarks.exists():
+        truth.add(TrueLandmarks(dict(read_table(landmarks, ('id', 'x', 'y'), _true_landmark))))
     for name in sorted({name.removesuffix('_truth') for name in files}):
         for stamp, pose in read_lines(files.get(f'{name}_truth') or files[name], _tum_row):
             truth.add(TruePose(name, stamp, pose))
     return truth
-
-
-def _true_landmarks(folder: Path) -> dict[int, Array]:
-    path = folder / 'landmarks.csv'
-    return dict(read_table(path, ('id', 'x', 'y'), _true_landmark)) if path.exists() else {}
 
 
 def _true_landmark(cells: Cells) -> tuple[int, Array]:
