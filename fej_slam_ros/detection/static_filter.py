@@ -76,8 +76,7 @@ class StaticFilter:
                 if is_certain[k]:
                     self._places.append(_Place(points[k], R[k], stamp, stamp))
                 continue
-            pause = np.array(stamp - place.seen_at)
-            P = place.P + np.eye(2) * self._drift(pause, points[k], origin)
+            P = place.P + np.eye(2) * self._drift(stamp - place.seen_at, points[k], origin)
             K = np.linalg.solve(P + R[k], P).T
             place.point, place.P = place.point + K @ (points[k] - place.point), P - K @ P
             place.seen_at = stamp
@@ -139,7 +138,7 @@ class StaticFilter:
         return found
 
     @staticmethod
-    def _drift(duration: Array, points: Array, origin: Array) -> Array:
+    def _drift(duration: Array | int, points: Array, origin: Array) -> Array:
         """Return the variances by odometry [m^2] of points (..., 2) over durations [ns]."""
         variances: Array = (
             DRIFT + HEADING_DRIFT * np.sum((points - origin) ** 2, axis=-1)) * duration / NS
