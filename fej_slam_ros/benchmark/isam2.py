@@ -9,7 +9,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from fej_slam_ros.benchmark.synthetic_drive import DRIVE_ROBOTS
+from fej_slam_ros.benchmark.synthetic_drive import DRIVE_ROBOTS, RobotEstimates
 from fej_slam_ros.core.geometry import Array, compose, transform
 from fej_slam_ros.core.records import Motion, Observation, Scan
 
@@ -38,9 +38,7 @@ class Isam2:
         self._new.insert(key, gtsam.Pose2(*pose))
         self._poses[name] = key, pose
 
-    def step(
-        self, motions: Sequence[Motion], scans: Sequence[Scan]
-    ) -> dict[str, tuple[Array, Array]]:
+    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> RobotEstimates:
         """Add the measurements of one stamp; return the robots' poses and covariances."""
         for motion in motions:
             self._add_motion(motion)

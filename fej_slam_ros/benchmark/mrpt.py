@@ -12,8 +12,7 @@ import numpy as np
 
 from fej_slam_ros.benchmark import cpp_program
 from fej_slam_ros.benchmark.cpp_program import can_build
-from fej_slam_ros.benchmark.peers import RobotEstimates
-from fej_slam_ros.benchmark.synthetic_drive import BEARING_SIGMA, RANGE_SIGMA
+from fej_slam_ros.benchmark.synthetic_drive import BEARING_SIGMA, RANGE_SIGMA, RobotEstimates
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Motion, Scan
 from fej_slam_ros.errors import UserError

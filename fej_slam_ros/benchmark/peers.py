@@ -19,7 +19,7 @@ import numpy as np
 
 from fej_slam_ros.benchmark.machine import Times
 from fej_slam_ros.benchmark.synthetic_drive import (
-    drive, fej_filter, Measurements, range_bearing, START_P, SyntheticDrive)
+    drive, fej_filter, Measurements, range_bearing, RobotEstimates, START_P, SyntheticDrive)
 from fej_slam_ros.benchmark.textbook import Textbook
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.geometry import Array
@@ -32,7 +32,6 @@ PEER_STRIDE = 1.0
 PEER_OBSERVATIONS = 10
 #: Reference of the comparison: the filter as the estimator runs it.
 OURS = 'fej, compressed by size'
-RobotEstimates = dict[str, tuple[Array, Array]]
 
 
 class Peer(Protocol):

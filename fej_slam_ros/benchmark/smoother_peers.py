@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.benchmark.machine import Times
-from fej_slam_ros.benchmark.peers import Peer, RobotEstimates, run_race
-from fej_slam_ros.benchmark.synthetic_drive import drive, DRIVE_ROBOTS
+from fej_slam_ros.benchmark.peers import Peer, run_race
+from fej_slam_ros.benchmark.synthetic_drive import drive, DRIVE_ROBOTS, RobotEstimates
 from fej_slam_ros.core.geometry import Array, compose
 from fej_slam_ros.core.records import Motion, Scan
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother

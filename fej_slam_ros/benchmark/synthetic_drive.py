@@ -33,6 +33,8 @@ DRIVE_R = DRIVE_SIGMA ** 2 * np.eye(2)
 #: Standard deviations of a range [m] and a bearing [rad]; the latter is DRIVE_SIGMA at 5 m.
 RANGE_SIGMA, BEARING_SIGMA = DRIVE_SIGMA, 0.02
 START_P = np.diag([0.05, 0.05, 0.002]) ** 2
+#: Poses (3,) and covariances (3, 3) of robots by name.
+RobotEstimates = dict[str, tuple[Array, Array]]
 #: Motions and scans of a step.
 Measurements = tuple[Sequence[Motion], Sequence[Scan]]
 #: Returns z (m, 2) and R (m, 2, 2) of observations from their true values (m, 2).

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from fej_slam_ros.benchmark.synthetic_drive import RobotEstimates
 from fej_slam_ros.core import models
 from fej_slam_ros.core.geometry import Array, wrap
 from fej_slam_ros.core.records import Motion, Observation, Scan
@@ -33,9 +34,7 @@ class Textbook:
         self._x = np.append(self._x, pose)
         self._P = np.block([[self._P, np.zeros((n, 3))], [np.zeros((3, n)), P]])
 
-    def step(
-        self, motions: Sequence[Motion], scans: Sequence[Scan]
-    ) -> dict[str, tuple[Array, Array]]:
+    def step(self, motions: Sequence[Motion], scans: Sequence[Scan]) -> RobotEstimates:
         """Predict, start landmarks, update; return the robots' poses and covariances."""
         self._predict(motions)
         known = []
