@@ -40,14 +40,12 @@ class Detections:
     thin: Array = field(default_factory=lambda: np.empty((0, 2)))
 
     @classmethod
-    def none(
-        cls, rejected: Counter[RejectedSegment], thin: Array | None = None
-    ) -> 'Detections':
+    def none(cls, rejected: Counter[RejectedSegment]) -> 'Detections':
         """Return no landmarks."""
         index = np.empty(0, np.intp)
         return cls(
             np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0), index, index,
-            np.empty(0, np.bool_), rejected, np.empty((0, 2)) if thin is None else thin)
+            np.empty(0, np.bool_), rejected)
 
     def select(self, kept: Flags, reason: RejectedSegment) -> 'Detections':
         """Return some of the landmarks, with the others counted as rejected."""

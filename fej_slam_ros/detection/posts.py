@@ -3,7 +3,7 @@
 """Round posts, trunks and poles in scans of a planar laser, by their shape."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -58,7 +58,7 @@ class PostDetector:
         rejected.update(reason[~is_candidate])
         thin = found.select((found.count < MIN_BEAMS) & free.all(axis=1)).middles()
         if not is_candidate.any():
-            return Detections.none(rejected, thin)
+            return replace(Detections.none(rejected), thin=thin)
         found, free = found.select(is_candidate), free[is_candidate]
         circles = fit_circles(found, free, sigma, (self.min_radius, self.max_radius))
         points, R = circles.centres()
