@@ -5,6 +5,7 @@
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import reduce
+from itertools import chain, count
 from typing import Any
 
 from fej_slam_ros.core.parameter_kinds import Parameter, parameters_of
@@ -113,8 +114,9 @@ def changed_peers(
     """
     Return the robots for new names of the own robot and its peers during a run.
 
-    As at the start, the ID of a robot is its position in the sorted names, on which all robots
-    agree; a UsageError says if a robot that comes would change that of another.
+    A robot of the start has the ID that it had. As at the start, that of another one is its
+    position in the sorted names, on which all robots agree; a UsageError says if a robot that
+    comes would change that of another.
 
     """
     own, *others = robot_names(value)
@@ -129,10 +131,15 @@ def changed_peers(
                 f"parameter 'peers' would change the ID of {robot.name!r} from {robot.id} to"
                 f' {after[robot.name]}, its position in the sorted names: start again with'
                 " '<robot>.id' of each robot, or give the new robots names that come last")
-    used = {robot.id for robot in present}
-    return [
-        replace(robot, id=after[robot.name])
-        if robot.name in new and after[robot.name] not in used else robot for robot in team]
+    ids = {robot.name: robot.id for robot in present}
+    of_start = {robot.name for robot in settings.robots}
+    # Robots that return come first: no other one is given the ID of one of them.
+    for robot in sorted(team, key=lambda robot: robot.name not in of_start):
+        if robot.name in new:
+            first = robot.id if robot.name in of_start else after[robot.name]
+            wanted = chain([first, after[robot.name]], count(robot.id))
+            ids[robot.name] = next(number for number in wanted if number not in ids.values())
+    return [replace(robot, id=ids[robot.name]) for robot in team]
 
 
 def _with_value(settings: Settings, change: tuple[str, Any]) -> Settings:

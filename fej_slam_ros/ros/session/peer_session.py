@@ -108,6 +108,7 @@ class PeerSession(SmootherSession):
 
     def _create(self, solve_every: int) -> None:
         settings, node = self.settings.estimation, self.settings.node
+        self._settings_of_start = settings
         self.is_restored = False
         for name in ('checkpoint', 'restore', 'autosave_period'):
             if getattr(node, name):
@@ -229,7 +230,7 @@ class PeerSession(SmootherSession):
     def change_team(self, names: object) -> None:
         """Exchange measurements with other robots from now on; the own one is the first."""
         estimation = self.settings.estimation
-        robots = parameters.changed_peers(estimation, self.team.robots, names)
+        robots = parameters.changed_peers(self._settings_of_start, self.team.robots, names)
         team = [robot.name for robot in robots]
         if self._files is not None:
             self._files.add_robots(team)

@@ -167,6 +167,23 @@ def test_robots_that_become_peers_during_a_run_end_with_the_central_result(clock
     assert (tmp_path / 'p' / 'trajectory_q.csv').exists()
 
 
+def test_a_peer_that_returns_has_the_id_of_its_parameter():
+    run = PeerSession(
+        settings(['p'], ['q', 'r'], **{'p.id': 10, 'q.id': 3, 'r.id': 30}), None)
+
+    def ids_after(*peers):
+        run.change_team(['p', *peers])
+        return {robot.name: robot.id for robot in run.present_settings().robots}
+
+    assert ids_after('r') == {'p': 10, 'r': 30}
+    assert ids_after('q', 'r') == {'p': 10, 'q': 3, 'r': 30}
+    ids_after('r')
+    # As the third of the sorted names, 'pb' would have the ID of q.
+    ids = ids_after('r', 'pa', 'pb', 'q')
+    assert (ids['q'], ids['pa']) == (3, 2)
+    assert len({*ids.values()}) == 5
+
+
 def test_nothing_is_exchanged_with_a_former_peer_whose_measurements_stay(clock):
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
     given = messages()
