@@ -75,7 +75,7 @@ class InputStatistics:
         self.restart_reasons[robot] = reason
 
     def take_over(self, robot: str, other: 'InputStatistics') -> None:
-        """Replace the counts of a robot by those of other statistics."""
+        """Replace the counts of a robot, and why it restarted, by those of other statistics."""
         for own, counts in (
                 (self.received, other.received), (self.rejected, other.rejected),
                 (self.observations_used, other.observations_used),
@@ -83,6 +83,8 @@ class InputStatistics:
                 (self.released_without, other.released_without)):
             own[robot] = counts[robot]
         self.rejection_counts[robot] = other.rejection_counts[robot].copy()
+        if robot in other.restart_reasons:
+            self.restart_reasons[robot] = other.restart_reasons[robot]
 
     def total(self, reason: RejectionReason) -> int:
         """Return the number of rejections of all robots for a reason."""

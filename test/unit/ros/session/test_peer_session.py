@@ -26,6 +26,8 @@ from fej_slam_ros.ros.session import peer_reports, peer_session
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE, PeerSession
 from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
 from helpers.paths import BAGS
+from helpers.records import odometry, scan
+from helpers.ros import raw_record
 
 BAG = BAGS / 'rendezvous'
 
@@ -543,6 +545,27 @@ def test_a_union_that_fails_is_reported_for_all_robots_of_which_there_are_measur
         (status.name, status.level) for status in report.status[:2]
         if status.message.startswith('not smoothed: its computation fails')] == [
             ('smoother: p', 2), ('smoother: q', 2)]
+
+
+def test_another_robot_that_is_lost_is_logged_with_the_reason_and_the_own_one_goes_on(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    # q is set down 100 m away, where it observes nothing that it knows.
+    for k in range(20):
+        x = k / 10.0 + (100.0 if k >= 10 else 0.0)
+        fed(sessions, [
+            raw_record(odometry('p', 100 * k)), raw_record(odometry('q', 100 * k, (x, 0.0, 0.0))),
+            raw_record(scan('q', 100 * k, [(1, (5.0 - x, 1.0))]))], clock)
+    exchanged(sessions, clock, 10.0)
+    run = sessions['p']
+    function, task = run.final_solving()
+    list(run.adopt(function(task)))
+    assert run.team.trajectories['q'].is_lost
+
+    feed(sessions, raw_record(odometry('p', 2000)))
+
+    assert run.team.trajectories['p'].newest().stamp > 1_500_000_000
+    (line,) = [line.text for line in run.log.take() if line.text.startswith('q goes on')]
+    assert line == 'q goes on in its own frame: its odometry moved 100.1 m in 0.10 s'
 
 
 def test_a_parameter_file_may_list_the_own_robot_among_its_peers():
