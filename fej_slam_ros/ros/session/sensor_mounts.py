@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Poses of sensors on their robots, from static transforms."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -55,12 +55,28 @@ class SensorMounts:
 def _pose(
     links: Mapping[str, tuple[str, Array]], frame: str, is_base: Callable[[str], bool]
 ) -> Array | None:
+    above: dict[str, Array] = {}
+    for ancestor, pose in _ancestors(links, frame):
+        if ancestor != frame and is_base(ancestor):
+            return pose
+        above.setdefault(ancestor, pose)
+    # The base may be on another branch, such as a base_footprint below base_link.
+    for base in filter(is_base, links):
+        for ancestor, pose_of_base in _ancestors(links, base):
+            if ancestor in above:
+                return np.linalg.solve(pose_of_base, above[ancestor]).astype(np.float64)
+    return None
+
+
+def _ancestors(
+    links: Mapping[str, tuple[str, Array]], frame: str
+) -> Iterator[tuple[str, Array]]:
+    """Yield a frame and those above it, each with the pose (4, 4) of the frame in it."""
     pose: Array = np.eye(4)
+    yield frame, pose
     for _ in range(MAX_LINKS):
         if frame not in links:
-            return None
+            return
         frame, link = links[frame]
         pose = link @ pose
-        if is_base(frame):
-            return pose
-    return None
+        yield frame, pose

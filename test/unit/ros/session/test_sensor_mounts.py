@@ -46,6 +46,19 @@ def test_links_are_composed_from_the_base_to_the_sensor(order):
     np.testing.assert_allclose(landmark(run), [0.5, 2.2], atol=1e-12)
 
 
+def test_the_base_of_the_odometry_may_be_on_another_branch_than_the_sensor():
+    # The footprint is 0.3 m behind base_link and turned to the left, as is the mast.
+    footprint = ('base_link', 'base_footprint', (-0.3, 0.0, -0.1), LEFT)
+    mast = ('base_link', 'r1/mast', (0.5, 0.0, 1.0), LEFT)
+
+    run = run_of(
+        mounts(footprint, mast, LASER),
+        raw('r1/odom', odometry_message(10, child='base_footprint'), 10), scan('r1/laser', 10))
+
+    # From the footprint, 0.8 m to the right and 2.2 m ahead.
+    np.testing.assert_allclose(landmark(run), [2.2, -0.8], atol=1e-12)
+
+
 def test_links_of_several_messages_are_one_tree():
     run = run_of(mounts(LASER), mounts(MAST), scan('/r1/laser'))
 
