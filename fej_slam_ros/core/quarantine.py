@@ -50,7 +50,9 @@ class Quarantine:
             self._lost_robots.reset(motion.robot)
         elif motion.is_too_uncertain():
             self._restart(
-                motion.robot, motion.stamp, 'the gap in its odometry is too long for a prediction')
+                motion.robot, motion.stamp,
+                'the gap in its odometry is too long, or its twist.covariance too large, for a'
+                ' prediction')
         else:
             return False
         return True

@@ -109,6 +109,22 @@ def twice(topic, every, change=lambda entry: None):
     return plant
 
 
+def with_pose(topic, frame, covariance):
+    """Return a fault that adds a pose at the origin of a frame in the middle of the bag."""
+    def plant(found):
+        middle = found[len(found) // 2]
+        pose = ros.geometry_msgs__msg__Pose(
+            position=ros.geometry_msgs__msg__Point(0.0, 0.0, 0.0),
+            orientation=ros.geometry_msgs__msg__Quaternion(0.0, 0.0, 0.0, 1.0))
+        message = ros.geometry_msgs__msg__PoseWithCovarianceStamped(
+            header=ros.std_msgs__msg__Header(
+                stamp=middle.message.header.stamp, frame_id=frame),
+            pose=ros.geometry_msgs__msg__PoseWithCovariance(
+                pose=pose, covariance=covariance.ravel()))
+        return [*found, Entry(topic, message, middle.logged)]
+    return plant
+
+
 def crowded(entry):
     """Repeat each point of a cloud 600 times."""
     cloud = entry.message

@@ -14,6 +14,8 @@ from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
 #: Upper bound of the share of the team's time that a robot may miss at the begin or end.
 MAX_SILENT_SHARE = 0.25
+#: Longest time from a measurement to its message [ns]; stamps that are older are of another clock.
+MAX_PROCESSING = 10 * NS
 #: Minimum number of messages in a third of a topic whose median delay is compared for drift.
 MIN_DRIFT_MESSAGES = 11
 
@@ -125,14 +127,16 @@ def _delays(
             continue
         topic = series.without_future(settings.future_limit * NS)
         delays = topic.delays() - _median_delay(robots[robot])
-        ahead = -float(np.median(delays))
-        if ahead > limit:
+        behind = float(np.median(delays))
+        is_other_clock = behind > MAX_PROCESSING
+        if behind < -limit or is_other_clock:
+            side = 'behind' if is_other_clock else 'ahead of'
             yield error(
                 'clock_skew', name,
-                f'its stamps are {seconds(ahead)} ahead of those of {robot}/odom, by log time',
+                f'its stamps are {seconds(abs(behind))} {side} those of {robot}/odom, by log time',
                 'stamp scans with the time of their measurement, by the clock of the odometry')
         late = np.flatnonzero(delays > limit)
-        if len(late):
+        if len(late) and not is_other_clock:
             yield warning(
                 'delayed', name,
                 f'{len(late)} of {len(delays)} messages were recorded up to'

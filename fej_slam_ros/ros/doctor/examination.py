@@ -69,7 +69,8 @@ def examine(
     findings = [
         *([] if other is None or given is None else [_wrong_ids(settings.estimation)]),
         *storage.check(path, names),
-        *topics.check(bag_topics, team_names, recorded),
+        *topics.check(
+            bag_topics, team_names, settings.estimation.initialpose_robot, recorded),
         *_check_messages(
             survey, used, replace(settings, estimation=used.estimator.settings),
             recorded.recorded_names()),

@@ -23,9 +23,10 @@ JUMP_MARGIN = np.array([1.0, 2.0])
 #: Upper bound of the median speed [m/s, rad/s]; above it, units are wrong.
 MAX_MEDIAN_SPEED = np.array([50.0, 80.0])
 #: Standard deviations of vx, vy, wz [m/s, m/s, rad/s] below which observations cannot correct the
-#: odometry, and above which it contributes nothing.
-MIN_SPEED_SIGMA = np.array([1e-5, 1e-5, 1e-6])
-MAX_SPEED_SIGMA = np.array([100.0, 100.0, 50.0])
+#: odometry, and above which it contributes nothing: drivers fill in variances of 1e-9 and of 1e3
+#: or more where they know none.
+MIN_SPEED_SIGMA = np.array([1e-4, 1e-4, 4e-5])
+MAX_SPEED_SIGMA = np.array([30.0, 30.0, 30.0])
 SPEED_NAMES = np.array(['vx', 'vy', 'wz'])
 
 

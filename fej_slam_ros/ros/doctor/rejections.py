@@ -2,17 +2,18 @@
 # SPDX-License-Identifier: Apache-2.0
 """Input that the estimator rejects, by reason, with the cures."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 
 from fej_slam_ros.core.rejections import RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, most_frequent, seconds
 from fej_slam_ros.ros.doctor.survey import ObservationSeries, Survey, TopicSeries
 from fej_slam_ros.ros.doctor.trial import Trial
+from fej_slam_ros.ros.session.inputs import INITIALPOSE
 
 
 #: Description of rejected input by reason, and what the user can do.
-CURES: Mapping[Reason, tuple[str, str]] = {
+CURES: dict[Reason, tuple[str, str]] = {
     Reason.NOT_FINITE: (
         'NaN or infinity', 'do not publish missing measurements: omit the point or message'),
     Reason.OUT_OF_RANGE: (
@@ -51,7 +52,8 @@ CURES: Mapping[Reason, tuple[str, str]] = {
     Reason.CONFLICTING: (
         'different odometry at one stamp', 'publish from one node, with a new stamp each time'),
     Reason.BEFORE_ODOMETRY: (
-        'scan before the first odometry', 'start odometry before the detector'),
+        'scan before the first odometry',
+        'start odometry before the detector, and use one clock for all stamps'),
     Reason.AFTER_ODOMETRY: (
         'scan after the last odometry', 'record all odometry, and use one clock for all stamps'),
     Reason.LATE: (
@@ -79,6 +81,16 @@ CURES: Mapping[Reason, tuple[str, str]] = {
         'repeated observation of a robot at rest', 'move it, to determine its heading'),
 }
 
+#: The same where they are other ones for poses on ``set_pose`` or `INITIALPOSE`.
+CURES_OF_PRIORS: dict[Reason, tuple[str, str]] = {
+    Reason.WRONG_FRAME: (
+        'pose that is not in the frame of the map',
+        'give it in the frame of the parameter map_frame, the fixed frame of RViz'),
+    Reason.BAD_COVARIANCE: (
+        'covariance that is not positive definite',
+        'give the variances of x, y and yaw, all of them above zero'),
+}
+
 #: Reasons that occur at the begin and end of every recording, reported only above this number.
 BOUNDARY_REASONS = {Reason.BEFORE_ODOMETRY, Reason.AFTER_ODOMETRY, Reason.OTHER_ROBOT_STALE}
 MAX_BOUNDARY_REJECTIONS = 5
@@ -97,7 +109,8 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
         limit = MAX_HARMLESS_SHARE * (len(series.stamps) if series is not None else count)
         if reason is Reason.AFTER_TIME_JUMP or _is_usual(reason, count, limit, trial):
             continue
-        what, cure = CURES[reason]
+        is_prior = topic == INITIALPOSE or topic.endswith('/set_pose')
+        what, cure = (CURES | CURES_OF_PRIORS if is_prior else CURES)[reason]
         is_harmless = reason in HARMLESS_REASONS and (reason is Reason.DUPLICATE or count < limit)
         yield error_if(not is_harmless)(
             reason.value, topic, f'{what}: {count} rejected{_detail(reason, series)}',

@@ -8,13 +8,14 @@ from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.files import front_end_topics
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
-from fej_slam_ros.ros.session.inputs import SENT_TOPICS
+from fej_slam_ros.ros.session.inputs import INITIALPOSE, SENT_TOPICS
 
 
 def check(
-    topics: Mapping[str, BagTopic], robots: Sequence[str], recorded: RecordedRobots
+    topics: Mapping[str, BagTopic], robots: Sequence[str], initialpose_robot: str,
+    recorded: RecordedRobots,
 ) -> Iterator[Finding]:
-    """Yield missing, empty and wrongly typed topics, and robots that are not in the team."""
+    """Yield missing, empty, unused and wrongly typed topics, and robots outside of the team."""
     filled = {topic for topic, info in topics.items() if info.messages}
     for robot in robots:
         for kind, type_name in SENT_TOPICS.items():
@@ -29,6 +30,16 @@ def check(
                 recorded.cure(robot))
         if f'{robot}/landmarks' not in filled:
             yield _no_landmarks(topics, filled, robot)
+    if INITIALPOSE in filled and len(robots) > 1 and not initialpose_robot:
+        yield warning(
+            'not_used', INITIALPOSE, 'it is for none of several robots',
+            'set the parameter initialpose_robot to its robot', topics[INITIALPOSE].messages)
+    yield from _unknown_robots(topics, robots, recorded)
+
+
+def _unknown_robots(
+    topics: Mapping[str, BagTopic], robots: Sequence[str], recorded: RecordedRobots
+) -> Iterator[Finding]:
     for name in robots_in(topics):
         if name not in robots:
             yield warning(

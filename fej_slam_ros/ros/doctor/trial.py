@@ -12,7 +12,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.inputs import INITIALPOSE, Inputs
 
 #: Reasons of observations that do not fit, and all that concern the whole run rather than single
 #: messages; jumps of odometry have a finding of their own.
@@ -37,6 +37,7 @@ class Trial:
         self.estimator = Estimator(settings, prior)
         # A second pass of a looping bag is a finding.
         self.inputs = Inputs(self.estimator, replace(node, on_time_jump='refuse'))
+        self.inputs.initialpose_robot = settings.initialpose_robot
         self.topics = frozenset(self.inputs.topics)
         self._static_topics = {topic.lstrip('/') for topic in self.inputs.static_topics}
         #: Number of rejections by topic and reason, and the stamp of the first of them [ns].
@@ -56,7 +57,7 @@ class Trial:
         elif self.failure is None and message.topic in self.topics:
             is_truth = message.topic.endswith('/ground_truth')
             if len(message.raw) >= MIN_STAMPED_SIZE and not is_truth:
-                self._latest[_robot(message), stamp_of(message.raw)] = message.topic
+                self._latest[self._robot(message), stamp_of(message.raw)] = message.topic
             self.inputs.receive(message)
             self._count_rejections(message)
             self._process()
@@ -99,7 +100,8 @@ class Trial:
         if arrived is not None:
             # Odometry also releases scans, which may be rejected then.
             is_cause = rejection.reason is Reason.BAD_MESSAGE or (
-                rejection.robot == _robot(arrived) and rejection.stamp == stamp_of(arrived.raw)
+                rejection.robot == self._robot(arrived)
+                and rejection.stamp == stamp_of(arrived.raw)
                 and not (of_scan and arrived.topic.endswith('/odom')))
             if is_cause:
                 return arrived.topic
@@ -109,6 +111,7 @@ class Trial:
         topic = self._latest.get((rejection.robot, rejection.stamp), f'{rejection.robot}/odom')
         return f'{rejection.robot}/landmarks' if of_scan and topic.endswith('/odom') else topic
 
-
-def _robot(message: RawMessage) -> str:
-    return message.topic.rpartition('/')[0]
+    def _robot(self, message: RawMessage) -> str:
+        if message.topic == INITIALPOSE:
+            return self.inputs.robot_of_initialpose() or ''
+        return message.topic.rpartition('/')[0]

@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Generic, NamedTuple
 
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_faults import reasons_in_words
@@ -28,6 +29,12 @@ PRIOR_REASONS = {
         'the robot has joined map at the same step, by what it observes',
     RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team',
     RejectionReason.NOT_JOINED: 'it is not known where the robot was in map'}
+#: What a pose that is no prior needs, by the reason of its rejection.
+PRIOR_CURES = {
+    RejectionReason.WRONG_FRAME:
+        'wrong_frame, give it in {frame!r}, which is to be the fixed frame of RViz',
+    RejectionReason.BAD_COVARIANCE:
+        'bad_covariance, give the variances of x, y and yaw, all of them above zero'}
 
 
 class Missing(NamedTuple):
@@ -171,8 +178,10 @@ class RunLog(ABC, Generic[ConsumerT]):
         rejected = self._inputs.health.rejected_priors
         while rejected:
             robot, reason = rejected.popleft()
+            cure = PRIOR_CURES.get(reason, reason.value).format(
+                frame=self._inputs.frames.published(MAP))
             self._lines.extend(self._repeatable.lines(
-                LogSeverity.WARN, f'set_pose of {robot} rejected: {reason.value}'))
+                LogSeverity.WARN, f'set_pose of {robot} rejected: {cure}'))
 
     def _note_priors(self, robot: str, until: int) -> None:
         """Add the lines of the poses that were given to a robot up to a stamp [ns]."""

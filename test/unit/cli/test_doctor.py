@@ -14,7 +14,7 @@ from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, floating_ids, framed, kept, looped,
     moved, NS, of_type_pose, out_of_order, planted, recorded_late, scaled, shifted,
-    turned, twice, twist_covariance, without)
+    turned, twice, twist_covariance, with_pose, without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
@@ -52,6 +52,9 @@ FAULTS = {
     'sensor clock ahead': (
         C, each('r1/landmarks', lambda e: shifted(e, 0.5)), 1, 'clock_skew', 'r1/landmarks',
         'stamp scans'),
+    'sensor clock of another epoch': (
+        C, each('r1/odom r2/odom r2/landmarks', lambda e: shifted(e, 1e6)), 1, 'clock_skew',
+        'r1/landmarks', 'clock of the odometry'),
     'no overlap in time': (
         C, each('r2/odom r2/landmarks r2/ground_truth', lambda e: shifted(e, 100.0, log=True)), 1,
         'no_overlap', 'r2/odom', 'clock'),
@@ -122,6 +125,12 @@ FAULTS = {
     'odometry covariance huge': (
         C, each('r2/odom', twist_covariance(at(0, 1e6))), 1, 'absurd_covariance', 'r2/odom',
         'variances'),
+    'odometry covariance of a driver that knows none': (
+        C, each('r2/odom', twist_covariance(at(35, 1e3))), 1, 'absurd_covariance', 'r2/odom',
+        'variances'),
+    'odometry covariance that only avoids zero': (
+        C, each('r2/odom', twist_covariance(lambda c: 1e-9 * np.eye(6).ravel())), 1,
+        'absurd_covariance', 'r2/odom', 'variances'),
     'odometry covariance tiny': (
         C, each('r2/odom', twist_covariance(lambda c: 1e-12 * np.eye(6).ravel())), 1,
         'absurd_covariance', 'r2/odom', 'variances'),
@@ -154,6 +163,15 @@ FAULTS = {
     'odometry in millimetres': (C, each('r1/odom', scaled(1e3)), 1, 'speed', 'r1/odom', 'metres'),
     'y to the right': (R, each('p/landmarks', columns(y=lambda y: -y)), 1, 'does_not_fit', 'p',
                        'left'),
+    'pose in the frame of the odometry': (
+        C, with_pose('r2/set_pose', 'r2/odom', np.eye(6)), 1, 'wrong_frame', 'r2/set_pose',
+        'map_frame'),
+    'pose without variances': (
+        C, with_pose('r2/set_pose', 'map', np.zeros((6, 6))), 1, 'bad_covariance', 'r2/set_pose',
+        'above zero'),
+    'pose of RViz for none of several robots': (
+        C, with_pose('initialpose', 'map', np.eye(6)), 0, 'not_used', 'initialpose',
+        'initialpose_robot'),
     'stands still': (C, each('r1/odom', scaled(0.0)), 1, None, '', ''),
 }
 

@@ -109,7 +109,9 @@ def test_a_gap_too_long_to_predict_is_a_restart():
 
     lines = lines_of(records, stale_after=100.0)
 
-    assert lines[-1] == 'r2 restarts: the gap in its odometry is too long for a prediction'
+    assert lines[-1] == (
+        'r2 restarts: the gap in its odometry is too long, or its twist.covariance too large, for'
+        ' a prediction')
 
 
 def test_odometry_that_jumps_is_a_restart_with_the_jump():
