@@ -97,7 +97,7 @@ class PeerSmoother(TeamSmoother):
             self._team_settings,
             {robot: self.logs.contents(robot) for robot in self.logs.robots},
             dict(self.logs.noise()), self._solve_every,
-            {} if own is None else {self.robot: own.stamps[-1]})
+            {} if own is None else {self.robot: own.newest().stamp})
 
     def adopt_union(self, union: TeamSmoother) -> None:
         """Adopt a smoother of all that was known; later poses of the own robot follow from it."""

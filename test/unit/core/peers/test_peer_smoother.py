@@ -81,3 +81,30 @@ def test_with_keyframes_the_own_trajectory_is_that_of_the_union():
         assert_allclose(estimate.P, expected[estimate.stamp].P, rtol=0.0, atol=1e-12)
     # The newest pose is not kept, and still the newest.
     assert own.trajectories['r1'].newest().stamp > kept[-1].stamp
+
+
+def test_a_robot_that_stands_still_uses_what_it_observes_of_others_as_they_do():
+    """Its last keyframe is its first pose; it observes the other one long after that."""
+    settings = replace(team('r1', 'r2'), keyframe_distance=1.0)
+    logs = {robot.name: TeamLogs(robot.name, 1, robot) for robot in settings.robots}
+    own = {name: PeerSmoother(settings, name, logs[name], 10**9) for name in logs}
+    for ms in range(0, 3000, 100):
+        records = [
+            odometry('r1', ms, (0.0, 0.0, 0.0)), odometry('r2', ms, (ms / 500.0, 0.0, 0.0))]
+        if ms in (500, 2500):
+            records.append(robot_scan('r1', ms, [('r2', (ms / 500.0 - 2.0, 5.0))]))
+        for record in records:
+            own[record.robot].add(record)
+    for smoother in own.values():
+        list(smoother.close())
+        smoother.logs.flush()
+    for name, other in (('r1', 'r2'), ('r2', 'r1')):
+        for block in logs[name].take_new_blocks():
+            if block.log.author == name:
+                logs[other].add(block)
+
+    hashes = {smoothed_union(smoother.union_task()).state_hash() for smoother in own.values()}
+
+    assert len(hashes) == 1
+    own['r1'].adopt_union(smoothed_union(own['r1'].union_task()))
+    assert own['r1'].not_in_map() == {}
