@@ -207,9 +207,9 @@ class Sequencer:
         """Return the number of waiting records of a robot."""
         return self._queues[robot].waiting() if robot in self._queues else 0
 
-    def has_odometry(self, robot: str) -> bool:
-        """Return whether odometry of a robot was accepted."""
-        return self._queues[robot].odometry.newest is not None
+    def newest_odometry(self, robot: str) -> int | None:
+        """Return the stamp [ns] of the newest accepted odometry of a robot, None without any."""
+        return self._queues[robot].odometry.newest if robot in self._queues else None
 
     def has_processed(self, robot: str, stamp: int) -> bool:
         """Return whether a step of a robot was at a stamp [ns] or later."""

@@ -153,7 +153,8 @@ class EstimatorSession(Session):
             raise UsageError(
                 f'the anchor {robot} has observed no landmark yet, so its pose defines map:'
                 f' publish {robot}/set_pose to place it elsewhere')
-        stamp = self.inputs.health.newest.get(robot, groups.team.robots[robot].stamp)
+        newest = self.estimator.sequencer.newest_odometry(robot)
+        stamp = groups.team.robots[robot].stamp if newest is None else newest
         return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE_COVARIANCE)
 
     def _checkpoint_content(self) -> bytes:

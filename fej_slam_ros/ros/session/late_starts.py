@@ -86,7 +86,8 @@ class LateStarts(StartCheck):
         self._add_line = add_line
         # A restored run has the first odometry of some robots, perhaps still waiting for others.
         self._checked = {
-            name for name in estimator.robots if estimator.sequencer.has_odometry(name)}
+            name for name in estimator.robots
+            if estimator.sequencer.newest_odometry(name) is not None}
         self._held: defaultdict[str, list[ArrivedOdometry]] = defaultdict(list)
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:

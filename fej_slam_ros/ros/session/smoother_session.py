@@ -176,7 +176,8 @@ class SmootherSession(Session):
         trajectory = self.team.trajectories.get(robot)
         if trajectory is None or trajectory.is_lost:
             raise UsageError(f'{robot} is in no map: {self.team.not_in_map()[robot]}')
-        stamp = self.inputs.health.newest.get(robot, trajectory.newest().stamp)
+        newest = self.team.sequencer.newest_odometry(robot)
+        stamp = trajectory.newest().stamp if newest is None else newest
         return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE_COVARIANCE)
 
     def change_team(self, names: object) -> None:

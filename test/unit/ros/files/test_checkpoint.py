@@ -23,6 +23,7 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.peer_session import PeerSession
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
+from helpers.records import MS
 from helpers.ros import (
     drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, seen,
     summary_of, write_bag)
@@ -102,6 +103,21 @@ def test_messages_that_may_be_of_another_pass_are_used_or_counted_after_a_restar
              for robot in ('r1', 'r2')} for run in (restored, whole)]
         assert counts[0] == counts[1]
         assert restored.state_hash() == whole.state_hash()
+
+
+@pytest.mark.parametrize('session', [EstimatorSession, SmootherSession])
+def test_a_robot_is_relocalized_at_its_newest_odometry_also_by_the_first_request_after_a_restore(
+    path, session
+):
+    run = session(run_settings(checkpoint=str(path)), None)
+    drive_on(run, map(raw_record, meeting(8)))
+    run.save()
+
+    restored = session(run_settings(restore=str(path)), None)
+
+    # Its odometry waits for max_delay.
+    assert run.relocalization('r1').stamp == 700 * MS
+    assert restored.relocalization('r1').stamp == 700 * MS
 
 
 @pytest.mark.parametrize('seed', ['1', '2'])
