@@ -27,6 +27,8 @@ MAX_WAIT = NS
 MAX_MOTION = 0.003
 #: Maximum number of scans that wait for odometry, and of odometry poses that are stored.
 MAX_WAITING, MAX_POSES = 2000, 10_000
+#: Maximum number of lasers of a robot whose scans may have the same stamps.
+MAX_LASERS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,6 +39,7 @@ class StampedScan:
     scan: LaserScan
     mount: Array  #: (3,) array, pose of the laser in the base frame [m, m, rad]
     frame: str = ''  #: name of the base frame, for the caller
+    laser: str = ''  #: which of the lasers of the robot
 
     @property
     def end(self) -> int:
@@ -54,7 +57,7 @@ class _OdometryPose(NamedTuple):
 
 class Detector:
     """
-    Finds the landmarks of one robot.
+    Finds the landmarks of one robot, which may have several lasers.
 
     A scan waits until odometry has passed its end, so that the result depends on stamps only. Its
     landmarks are those seen from the pose at its end: they are corrected for the motion between
@@ -85,7 +88,9 @@ class Detector:
         self._static = self._new_filter()
         self._odometry: list[_OdometryPose] = []
         self._waiting: deque[StampedScan] = deque()
+        # Newest stamp of the scans of all lasers and of each one [ns].
         self._newest_scan: int | None = None
+        self._newest_scans: dict[str, int] = {}
         self.rejected: Counter[RejectedSegment] = Counter()
         self.scans = self.without_odometry = self.lost = self.restarts = self.late_odometry = 0
 
@@ -111,12 +116,16 @@ class Detector:
             del self._odometry[:MAX_POSES // 2]
 
     def add_scan(self, scan: StampedScan) -> bool:
-        """Add a scan; return whether it is newer than all before, as it must be."""
+        """Add a scan; return whether it is newer than all of its laser, as it must be."""
         if self._newest_scan is not None and self._newest_scan - scan.stamp > MAX_WAIT:
             self._restart()
-        if self._newest_scan is not None and scan.stamp <= self._newest_scan:
+        is_listed = scan.laser in self._newest_scans or len(self._newest_scans) < MAX_LASERS
+        newest = self._newest_scans.get(scan.laser) if is_listed else self._newest_scan
+        if newest is not None and scan.stamp <= newest:
             return False
-        self._newest_scan = scan.stamp
+        if is_listed:
+            self._newest_scans[scan.laser] = scan.stamp
+        self._newest_scan = max(scan.stamp, self._newest_scan or scan.stamp)
         self._waiting.append(scan)
         if len(self._waiting) > MAX_WAITING:
             self._waiting.popleft()
@@ -139,6 +148,7 @@ class Detector:
         self.lost += len(self._waiting)
         self._waiting.clear()
         self._newest_scan = None
+        self._newest_scans.clear()
         self._odometry.clear()
         self._static = self._new_filter()
 

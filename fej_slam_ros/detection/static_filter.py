@@ -58,7 +58,7 @@ class StaticFilter:
 
         Parameters
         ----------
-        stamp : of the scan [ns], later than the one before
+        stamp : of the scan [ns], later than the one before of the same laser
         points, R : (m, 2) and (m, 2, 2) arrays, in the frame of odometry [m]
         is_certain : (m,) array, whether they are landmarks wherever they are
         origin : (2,) position of the laser in this frame [m]
@@ -76,10 +76,11 @@ class StaticFilter:
                 if is_certain[k]:
                     self._places.append(_Place(points[k], R[k], stamp, stamp))
                 continue
-            P = place.P + np.eye(2) * self._drift(stamp - place.seen_at, points[k], origin)
+            pause = max(stamp - place.seen_at, 0)
+            P = place.P + np.eye(2) * self._drift(pause, points[k], origin)
             K = np.linalg.solve(P + R[k], P).T
             place.point, place.P = place.point + K @ (points[k] - place.point), P - K @ P
-            place.seen_at = stamp
+            place.seen_at = max(stamp, place.seen_at)
             place.is_static |= stamp - place.begin >= self._static_time
             static[k] = place.is_static
         return static
@@ -121,7 +122,7 @@ class StaticFilter:
             return found
         n = len(self._places)
         of_places = np.array([place.P for place in self._places])
-        ages = np.array([stamp - place.seen_at for place in self._places])
+        ages = np.array([max(stamp - place.seen_at, 0) for place in self._places])
         drift = self._drift(ages, points[:, None], origin)
         S = (R[:, None] + of_places + drift[:, :, None, None] * np.eye(2)).reshape(-1, 2, 2)
         r = (points[:, None] - np.array([place.point for place in self._places])).reshape(-1, 2)

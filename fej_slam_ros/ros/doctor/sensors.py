@@ -34,6 +34,8 @@ MIN_SHIFT, MIN_TURN, MIN_DELAY = 0.03, math.radians(1.0), 0.02
 #: Limits of radii [m] between which posts are looked for, whatever the parameters are, the
 #: smallest number of them that says something, and the share that must have an allowed radius.
 ANY_RADIUS, MIN_POSTS, ALLOWED_SHARE = (0.01, 1.0), 100, 0.2
+#: Conditions of scans that corrupt or prevent landmarks, whatever the parameters are.
+CORRUPTING_CONDITIONS = {'scans_rejected', 'scan_duration'}
 #: What scans of a laser, and observations of landmarks, need where they are wrong.
 CURES = {
     'scan': (
@@ -57,10 +59,11 @@ def check(
         detector, robots=tuple(robots), min_radius=ANY_RADIUS[0], max_radius=ANY_RADIUS[1],
         static_time=0.0))
     posts: defaultdict[str, list[Scan]] = defaultdict(list)
-    has_scans = not bags.topics(path, names).keys().isdisjoint(f'{robot}/scan' for robot in robots)
+    topics = bags.topics(path, names)
+    has_scans = {robot: f'{robot}/scan' in topics for robot in robots}
     for message in _first_messages(bags.read(path, names), robots):
         inputs.receive(message)
-        if has_scans:
+        if any(has_scans.values()):
             lasers.receive(message)
         for topic, found in lasers.take():
             robot, _, kind = topic.rpartition('/')
@@ -75,6 +78,17 @@ def check(
             if fit is not None:
                 yield from findings(f'{robot}/{kind}', fit)
         yield from _radii(robot, lasers.radii[robot], detector)
+        if has_scans[robot]:
+            yield from _conditions(robot, lasers, collector.robots[robot].sensor_frame is None)
+
+
+def _conditions(
+    robot: str, lasers: DetectorSession, needs_transform: bool
+) -> Iterator[Finding]:
+    """Yield what the detector would tell of the scans of a robot."""
+    for name, what, cure in lasers.conditions(robot):
+        if name in CORRUPTING_CONDITIONS or (name == 'laser_frame' and needs_transform):
+            yield error_if(name in CORRUPTING_CONDITIONS)(name, f'{robot}/scan', what, cure)
 
 
 def findings(topic: str, fit: SensorFit) -> Iterator[Finding]:

@@ -39,6 +39,30 @@ class ScanFault(Enum):
     LATE = 'late'  #: not newer than the scan before
 
 
+#: What scans with a fault need, in one phrase.
+CURES = {
+    ScanFault.BAD_MESSAGE:
+        'publish sensor_msgs/msg/LaserScan; pointcloud_to_laserscan makes it from the cloud of a'
+        ' laser with several layers',
+    ScanFault.BAD_STAMP: 'stamp scans with the time of their first beams',
+    ScanFault.NO_BEAMS: 'look at the driver of the laser',
+    ScanFault.TOO_MANY_BEAMS: f'publish at most {MAX_BEAMS:,} beams',
+    ScanFault.BAD_ANGLES:
+        'angle_min + angle_increment * (number of beams - 1) must be angle_max, in radians, with a'
+        ' negative angle_increment if the laser turns clockwise',
+    ScanFault.BAD_TIMES:
+        f'give time_increment in seconds, at least 0 and at most {MAX_DURATION:g} s for all beams',
+    ScanFault.BAD_LIMITS: 'give range_min and a larger range_max, in metres',
+    ScanFault.NO_INTENSITIES:
+        'switch intensities on in the driver, or set intensity_threshold to 0 to find posts',
+    ScanFault.TILTED:
+        'correct the static transform of the laser, which must be upright or upside down within'
+        ' 0.2 rad',
+    ScanFault.LATE:
+        'stamp each scan with the time of its first beam; several lasers on one topic need frames'
+        ' of their own'}
+
+
 class ScanFaultError(Exception):
     """A scan is rejected, for a fault."""
 

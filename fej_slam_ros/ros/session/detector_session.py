@@ -7,11 +7,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, rotation, transform
 from fej_slam_ros.core.records import NO_ID
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.detection.detections import Detections
 from fej_slam_ros.detection.detector import Detector, StampedScan
@@ -24,6 +26,7 @@ from fej_slam_ros.ros.session.front_end import RobotCounts
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY
 from fej_slam_ros.ros.session.outputs import (
     DIAGNOSTICS_TOPIC, IsWanted, MARKERS_TOPIC, Publication, TYPES)
+from fej_slam_ros.ros.session.scan_timing import ScanTiming
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
 LASER_SCAN = 'sensor_msgs/msg/LaserScan'
@@ -34,15 +37,26 @@ MAX_RADII = 1_000
 MANY_WAITING = 500
 
 
+class Condition(NamedTuple):
+    """Something that users have to know of the scans of a robot."""
+
+    name: str  #: in one word, as a finding of ``doctor``
+    what: str  #: description
+    cure: str  #: what the user can do, '' if the description says it
+
+
 class _RobotDetector:
     """The detector of one robot, and counts of its messages."""
 
     def __init__(self, settings: DetectorSettings) -> None:
         self.detector = Detector(settings.method(), settings.min_beams, settings.static_time)
         self.faults: Counter[ScanFault] = Counter()
+        self.rejected_odometry: Counter[RejectionReason] = Counter()
         self.odometry = self.landmarks = 0
         #: frame of the laser whose place on the robot is not known, '' if it is
         self.unknown_frame = ''
+        self.has_frame = True  #: whether the latest scan names its frame
+        self.timing = ScanTiming()
 
 
 class DetectorSession:
@@ -88,10 +102,10 @@ class DetectorSession:
             return
         if name in self._detectors and kind in {'scan', 'odom'}:
             message = decoded_as(arrived, self.topics[f'{name}/{kind}'])
-            if message is None:
-                self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
-            elif kind == 'odom':
+            if kind == 'odom':
                 self._receive_odometry(name, message)
+            elif message is None:
+                self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
             else:
                 self._receive_scan(name, message)
 
@@ -125,6 +139,8 @@ class DetectorSession:
             detector = state.detector
             values = {
                 'odometry': state.odometry, 'odometry_late': detector.late_odometry,
+                **{f'odometry_{reason.value}': n for reason, n in sorted(
+                    state.rejected_odometry.items(), key=lambda item: item[0].value)},
                 'scans': detector.scans, 'landmarks': state.landmarks,
                 'scans_without_odometry': detector.without_odometry, 'scans_lost': detector.lost,
                 'time_jumps': detector.restarts,
@@ -133,17 +149,25 @@ class DetectorSession:
                     state.faults.items(), key=lambda item: item[0].value)},
                 **{f'segments_{reason.value}': n for reason, n in sorted(
                     detector.rejected.items(), key=lambda item: item[0].value) if n}}
-            yield name, _warning(name, state), values
+            first = next(_conditions(name, state), None)
+            yield name, '' if first is None else ': '.join(filter(None, first[1:])), values
 
-    def _receive_odometry(self, name: str, message: Message) -> None:
+    def conditions(self, robot: str) -> list[Condition]:
+        """Return what users have to know of the scans of a robot, the most serious first."""
+        return [*_conditions(robot, self._detectors[robot])]
+
+    def _receive_odometry(self, name: str, message: Message | None) -> None:
+        state = self._detectors[name]
         try:
+            if message is None:
+                raise incoming.RejectedError(RejectionReason.BAD_MESSAGE)
             record = incoming.odometry(message, name)
-        except incoming.RejectedError:
-            self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
+        except incoming.RejectedError as rejected:
+            state.rejected_odometry[rejected.reason] += 1
             return
         self._frames.add_odometry(name, message)
-        self._detectors[name].odometry += 1
-        self._detectors[name].detector.add_odometry(record)
+        state.odometry += 1
+        state.detector.add_odometry(record)
 
     def _receive_scan(self, name: str, message: Message) -> None:
         state = self._detectors[name]
@@ -153,8 +177,10 @@ class DetectorSession:
                 raise ScanFaultError(ScanFault.NO_INTENSITIES)
             frame = message.header.frame_id.lstrip('/')
             scan, mount, published = self._mounted(name, frame, scan)
-            if not state.detector.add_scan(StampedScan(stamp, scan, mount, published)):
+            if not state.detector.add_scan(StampedScan(stamp, scan, mount, published, frame)):
                 raise ScanFaultError(ScanFault.LATE)
+            state.has_frame = frame != ''
+            state.timing.add(frame, stamp, scan, message.scan_time)
         except ScanFaultError as rejected:
             state.faults[rejected.fault] += 1
 
@@ -192,25 +218,53 @@ class DetectorSession:
                 scan.end, frame, points, R, landmarks.radii)
 
 
-def _warning(name: str, state: _RobotDetector) -> str:
-    """Return what users have to know of a robot, '' if all is well."""
-    detector = state.detector
+def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
+    detector, rejected = state.detector, state.faults.total()
     if detector.waiting > MANY_WAITING:
-        return (
-            f'{detector.waiting} scans wait, as they come faster than they are processed: lower'
-            ' their rate or their number of beams')
-    if state.faults and not detector.scans:
-        fault, _ = state.faults.most_common(1)[0]
-        return f'all scans are rejected as {fault.value}'
-    if not detector.scans:
-        return f'no scans: publish them on {name}/scan'
+        yield Condition(
+            'slow',
+            f'{detector.waiting} scans wait, as they come faster than they are processed',
+            'lower their rate or their number of beams')
+    if rejected > detector.scans + detector.waiting:
+        (fault, count), = state.faults.most_common(1)
+        number = f'{count} of {rejected + detector.scans}' if detector.scans else 'all'
+        yield Condition(
+            'scans_rejected', f'{number} scans are rejected as {fault.value}', laser.CURES[fault])
+    elif not detector.scans:
+        yield Condition('no_scans', 'no scans', f'publish them on {name}/scan')
     if state.unknown_frame:
-        return (
+        yield Condition(
+            'laser_frame',
             f'no static transform from the frame {state.unknown_frame!r} of the scans to the base'
-            ' frame: publish it on /tf_static, or give the estimator sensor_frame and sensor_pose')
-    if detector.without_odometry == detector.scans:
-        return f'no odometry around the scans: publish it on {name}/odom'
-    if not state.landmarks and detector.rejected:
-        reason, _ = detector.rejected.most_common(1)[0]
-        return f'no landmark so far, most segments are rejected as {reason.value}'
-    return ''
+            ' frame',
+            'publish it on /tf_static, or give the estimator sensor_frame and sensor_pose')
+    if not state.has_frame:
+        yield Condition(
+            'laser_frame', 'the scans have no frame_id, so that the laser is taken to be in the'
+            ' base frame', 'set it in the driver, and publish the transform of this frame')
+    if state.rejected_odometry.total() > state.odometry:
+        reason, _ = state.rejected_odometry.most_common(1)[0]
+        yield Condition(
+            'odometry_rejected', f'most odometry on {name}/odom is rejected as {reason.value}',
+            'correct it as the rejection reasons in the documentation of the topics say')
+    elif detector.scans and detector.without_odometry == detector.scans:
+        yield Condition(
+            'no_odometry', 'no odometry around the scans',
+            f'publish it on {name}/odom, with stamps of the same clock')
+    if state.timing.fault:
+        yield Condition(
+            'scan_duration', state.timing.fault,
+            'set time_increment to the time between beams; if all beams are measured at once, set'
+            ' scan_time to 0 too')
+    if detector.scans and not state.landmarks:
+        yield _no_landmark(detector)
+
+
+def _no_landmark(detector: Detector) -> Condition:
+    if not detector.rejected:
+        return Condition(
+            'no_returns', 'no landmark so far, as no beam has a return that is used',
+            'give ranges, range_min and range_max in metres, and look at intensity_threshold')
+    reason, _ = detector.rejected.most_common(1)[0]
+    return Condition(
+        'no_landmark', f'no landmark so far, most segments are rejected as {reason.value}', '')

@@ -9,7 +9,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import transform
 from fej_slam_ros.detection.records import RobotLaserScan
-from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.messages import laser, outgoing
 from fej_slam_ros.ros.parameters.detector_settings import parse_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession
 from fej_slam_ros.ros.session.front_end import report
@@ -86,6 +86,10 @@ def test_landmarks_of_a_laser_at_an_unknown_place_are_in_its_frame_and_the_cure_
     [
         ([], 'scans', 'no scans: publish them on r1/scan'),
         ([scan_message(ranges=np.empty(0, np.float32))], 'scans_no_beams', 'no_beams'),
+        ([scan_message(time_increment=-1e-4)], 'scans_bad_times', 'in seconds, at least 0'),
+        ([scan_message(frame='')], 'scans', 'no frame_id'),
+        ([raw('r1/odom', odometry_message(twist_covariance=-np.eye(6)))],
+         'odometry_bad_covariance', 'no scans'),
         ([scan_message(angle_increment=0.0)], 'scans_bad_angles', 'bad_angles'),
         ([scan_message(ranges=np.zeros(100_000, np.float32))], 'scans_too_many_beams',
          'too_many_beams'),
@@ -105,6 +109,89 @@ def test_what_cannot_be_used_is_counted_and_named(messages, count, warning):
     (_, told, counts), = session.counts()
     assert warning in told
     assert counts[count] == (1 if messages else 0)
+
+
+def test_ranges_outside_of_the_limits_of_the_laser_are_named():
+    session = session_of()
+    millimetres = scan_message(frame='r1/base_link', range_min=50.0, range_max=12_000.0)
+
+    run(session, raw('r1/odom', odometry_message(0)), millimetres)
+
+    (_, warning, _), = session.counts()
+    assert warning.endswith('in metres, and look at intensity_threshold')
+
+
+@pytest.mark.parametrize('fault', laser.ScanFault)
+def test_each_fault_of_a_scan_has_a_cure(fault):
+    assert laser.CURES[fault]
+
+
+def test_odometry_that_is_rejected_is_not_taken_for_scans():
+    session = session_of()
+    bad = odometry_message(twist_covariance=-np.eye(6))
+
+    run(session, *[raw('r1/odom', bad)] * 3, scan_message(frame='r1/base_link'))
+
+    (_, warning, counts), = session.counts()
+    assert warning.startswith('most odometry on r1/odom is rejected as bad_covariance')
+    assert (counts['odometry_bad_covariance'], counts['scans']) == (3, 1)
+
+
+def test_mostly_rejected_scans_are_named_with_their_cure():
+    session = session_of()
+    run(session, raw('r1/odom', odometry_message(0)), *[scan_message(frame='r1/base_link')] * 5)
+
+    (_, warning, _), = session.counts()
+    assert warning.startswith('4 of 5 scans are rejected as late: stamp each scan')
+
+
+def test_lasers_with_the_same_stamps_are_both_used():
+    session = session_of()
+    both = mounts(
+        ('r1/base_link', 'r1/front', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ('r1/base_link', 'r1/rear', (0.0, 0.0, 0.0), (0.0, 0.0, np.pi)))
+    scans = [
+        scan_message(frame='r1/front'),
+        scan_message(frame='r1/rear', scan=scan_of(-POSTS * [1, 1, -1], beams=1440, sigma=0.005))]
+
+    found = run(session, both, raw('r1/odom', odometry_message(0)), *scans)
+
+    assert [distances(points(message), POSTS[:, :2]).max() < 0.03 for message in found] == [
+        True, True]
+
+
+#: Fields of scans of 360 degrees at 5 Hz: those of TurtleBot 3 in 2020 (ROBOTIS-GIT/turtlebot3,
+#: issue 634), of a converted cloud, of a simulator without motion, and right ones.
+TURNING = {
+    'increment too small by 20': (2.98e-5, 0.0, True), 'a converted cloud': (0.0, 1 / 30, True),
+    'all beams at once': (0.0, 0.0, False), 'right': (0.2 / 360, 0.0, False),
+    'right with the time of a scan': (0.2 / 360, 0.2, False)}
+
+
+@pytest.mark.parametrize('times', TURNING)
+def test_scans_that_last_shorter_than_the_laser_turns_are_named(times):
+    time_increment, scan_time, is_named = TURNING[times]
+    session, scan = session_of(), scan_of(POSTS, beams=360, sigma=0.005)
+
+    run(session, *[raw('r1/odom', odometry_message(ms)) for ms in range(0, 4000, 100)], *[
+        scan_message(
+            ms, 'r1/base_link', scan, time_increment=time_increment, scan_time=scan_time)
+        for ms in range(0, 3000, 200)])
+
+    (_, warning, _), = session.counts()
+    assert ('cover 360 degrees every' in warning) == is_named
+
+
+def test_scans_of_a_laser_at_a_lower_rate_than_it_turns_are_right():
+    # Nine of ten scans are dropped on the way; the message states the time between scans.
+    session, scan = session_of(), scan_of(POSTS, beams=360, sigma=0.005)
+
+    run(session, *[raw('r1/odom', odometry_message(ms)) for ms in range(0, 30_000, 500)], *[
+        scan_message(ms, 'r1/base_link', scan, time_increment=0.1 / 360, scan_time=0.1)
+        for ms in range(0, 20_000, 1000)])
+
+    (_, warning, _), = session.counts()
+    assert warning == ''
 
 
 def test_scans_without_intensities_are_named_where_reflectors_are_wanted():

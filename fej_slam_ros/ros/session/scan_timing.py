@@ -1,0 +1,66 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Whether scans of a laser that turns take the time that they state."""
+
+from collections import defaultdict, deque
+import math
+from statistics import median
+
+from fej_slam_ros.core.records import NS
+from fej_slam_ros.detection.detector import MAX_LASERS
+from fej_slam_ros.detection.laser_scan import LaserScan
+
+#: Number of times between scans whose median is used, and the smallest number that is sufficient.
+MAX_INTERVALS, MIN_INTERVALS = 50, 10
+#: Smallest share of a turn that tells a laser that turns from a camera, whose beams are measured
+#: at once.
+MIN_SHARE = 0.5
+#: Ratios of the stated to the expected duration beyond which it is wrong: with half of the scans
+#: lost it is 0.5, while drivers that are known to be wrong are so by factors of 3 to 20.
+MIN_RATIO, MAX_RATIO = 0.4, 2.0
+
+
+class ScanTiming:
+    """The durations and intervals of the scans of a robot, by laser."""
+
+    def __init__(self) -> None:
+        self._newest: dict[str, int] = {}
+        self._intervals: defaultdict[str, deque[int]] = defaultdict(
+            lambda: deque(maxlen=MAX_INTERVALS))
+        #: what is wrong with the latest scan, '' if nothing is
+        self.fault = ''
+
+    def add(self, laser: str, stamp: int, scan: LaserScan, scan_time: float) -> None:
+        """
+        Add a scan.
+
+        Parameters
+        ----------
+        laser : its frame
+        stamp : of its first beam [ns]
+        scan : its content
+        scan_time : stated time between scans [s], 0 if unknown; of simulators that measure all
+            beams at once, it and the time between beams are 0
+
+        """
+        self.fault = ''
+        interval = scan_time * NS or self._interval(laser, stamp)
+        is_stated = scan_time > 0.0 or scan.time_increment > 0.0
+        share = min(abs(scan.angle_increment) * len(scan.ranges) / (2.0 * math.pi), 1.0)
+        if not is_stated or not interval or share < MIN_SHARE:
+            return
+        is_right = MIN_RATIO * share * interval <= scan.duration <= MAX_RATIO * share * interval
+        self.fault = '' if is_right else (
+            f'the scans of {laser!r} cover {math.degrees(2.0 * math.pi * share):.0f} degrees every'
+            f' {interval / NS:.3g} s, but take {scan.duration / NS:.3g} s by their time_increment,'
+            ' so that they are corrected wrongly for the motion of the robot')
+
+    def _interval(self, laser: str, stamp: int) -> float:
+        """Return the median time between the latest scans of a laser [ns], 0 if unknown."""
+        if laser not in self._newest and len(self._newest) >= MAX_LASERS:
+            return 0.0
+        intervals = self._intervals[laser]
+        if laser in self._newest:
+            intervals.append(stamp - self._newest[laser])
+        self._newest[laser] = stamp
+        return median(intervals) if len(intervals) >= MIN_INTERVALS else 0.0
