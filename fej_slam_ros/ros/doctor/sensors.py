@@ -34,8 +34,10 @@ MIN_SHIFT, MIN_TURN, MIN_DELAY = 0.03, math.radians(1.0), 0.02
 #: Limits of radii [m] between which posts are looked for, whatever the parameters are, the
 #: smallest number of them that says something, and the share that must have an allowed radius.
 ANY_RADIUS, MIN_POSTS, ALLOWED_SHARE = (0.01, 1.0), 100, 0.2
-#: Conditions of scans that corrupt or prevent landmarks, whatever the parameters are.
-CORRUPTING_CONDITIONS = {'scans_rejected', 'scan_duration'}
+#: Conditions of scans that corrupt or prevent landmarks, and that may do so, whatever the
+#: parameters are; a frame may do so if no parameter names it.
+CORRUPTING_CONDITIONS, DOUBTFUL_CONDITIONS = {'scans_rejected', 'scan_duration'}, {'scan_stamp'}
+FRAME_CONDITION = 'laser_frame'
 #: What scans of a laser, and observations of landmarks, need where they are wrong.
 CURES = {
     'scan': (
@@ -86,8 +88,11 @@ def _conditions(
     robot: str, lasers: DetectorSession, needs_transform: bool
 ) -> Iterator[Finding]:
     """Yield what the detector would tell of the scans of a robot."""
+    reported = CORRUPTING_CONDITIONS | DOUBTFUL_CONDITIONS
+    if needs_transform:
+        reported.add(FRAME_CONDITION)
     for name, what, cure in lasers.conditions(robot):
-        if name in CORRUPTING_CONDITIONS or (name == 'laser_frame' and needs_transform):
+        if name in reported:
             yield error_if(name in CORRUPTING_CONDITIONS)(name, f'{robot}/scan', what, cure)
 
 

@@ -103,11 +103,11 @@ class DetectorSession:
         if name in self._detectors and kind in {'scan', 'odom'}:
             message = decoded_as(arrived, self.topics[f'{name}/{kind}'])
             if kind == 'odom':
-                self._receive_odometry(name, message)
+                self._receive_odometry(name, message, arrived.received)
             elif message is None:
                 self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
             else:
-                self._receive_scan(name, message)
+                self._receive_scan(name, message, arrived.received)
 
     def take(self, is_wanted: IsWanted = lambda _: True) -> Iterator[Publication]:
         """
@@ -156,7 +156,9 @@ class DetectorSession:
         """Return what users have to know of the scans of a robot, the most serious first."""
         return [*_conditions(robot, self._detectors[robot])]
 
-    def _receive_odometry(self, name: str, message: Message | None) -> None:
+    def _receive_odometry(
+        self, name: str, message: Message | None, received: int | None
+    ) -> None:
         state = self._detectors[name]
         try:
             if message is None:
@@ -168,8 +170,10 @@ class DetectorSession:
         self._frames.add_odometry(name, message)
         state.odometry += 1
         state.detector.add_odometry(record)
+        if received is not None:
+            state.timing.add_odometry(received - record.stamp)
 
-    def _receive_scan(self, name: str, message: Message) -> None:
+    def _receive_scan(self, name: str, message: Message, received: int | None) -> None:
         state = self._detectors[name]
         try:
             stamp, scan = laser.laser_scan(message)
@@ -181,6 +185,8 @@ class DetectorSession:
                 raise ScanFaultError(ScanFault.LATE)
             state.has_frame = frame != ''
             state.timing.add(frame, stamp, scan, message.scan_time)
+            if received is not None:
+                state.timing.add_delay(received - stamp, scan.duration)
         except ScanFaultError as rejected:
             state.faults[rejected.fault] += 1
 
@@ -219,6 +225,23 @@ class DetectorSession:
 
 
 def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
+    yield from _conditions_of_use(name, state)
+    yield from _conditions_of_place(state)
+    yield from _conditions_of_odometry(name, state)
+    if state.timing.fault:
+        yield Condition(
+            'scan_duration', state.timing.fault,
+            'set time_increment to the time between beams; if all beams are measured at once, set'
+            ' scan_time to 0 too')
+    if state.timing.stamp_fault:
+        yield Condition(
+            'scan_stamp', state.timing.stamp_fault,
+            'stamp a scan with the time of its first beam, or send odometry with less delay')
+    if state.detector.scans and not state.landmarks:
+        yield _no_landmark(state.detector)
+
+
+def _conditions_of_use(name: str, state: _RobotDetector) -> Iterator[Condition]:
     detector, rejected = state.detector, state.faults.total()
     if detector.waiting > MANY_WAITING:
         yield Condition(
@@ -232,6 +255,9 @@ def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
             'scans_rejected', f'{number} scans are rejected as {fault.value}', laser.CURES[fault])
     elif not detector.scans:
         yield Condition('no_scans', 'no scans', f'publish them on {name}/scan')
+
+
+def _conditions_of_place(state: _RobotDetector) -> Iterator[Condition]:
     if state.unknown_frame:
         yield Condition(
             'laser_frame',
@@ -242,6 +268,10 @@ def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
         yield Condition(
             'laser_frame', 'the scans have no frame_id, so that the laser is taken to be in the'
             ' base frame', 'set it in the driver, and publish the transform of this frame')
+
+
+def _conditions_of_odometry(name: str, state: _RobotDetector) -> Iterator[Condition]:
+    detector = state.detector
     if state.rejected_odometry.total() > state.odometry:
         reason, _ = state.rejected_odometry.most_common(1)[0]
         yield Condition(
@@ -251,13 +281,6 @@ def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
         yield Condition(
             'no_odometry', 'no odometry around the scans',
             f'publish it on {name}/odom, with stamps of the same clock')
-    if state.timing.fault:
-        yield Condition(
-            'scan_duration', state.timing.fault,
-            'set time_increment to the time between beams; if all beams are measured at once, set'
-            ' scan_time to 0 too')
-    if detector.scans and not state.landmarks:
-        yield _no_landmark(detector)
 
 
 def _no_landmark(detector: Detector) -> Condition:

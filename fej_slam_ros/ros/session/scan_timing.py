@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Whether scans of a laser that turns take the time that they state."""
+"""Whether scans of a laser that turns have the duration and the stamps that they state."""
 
 from collections import defaultdict, deque
 import math
@@ -10,7 +10,8 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.detection.detector import MAX_LASERS
 from fej_slam_ros.detection.laser_scan import LaserScan
 
-#: Number of times between scans whose median is used, and the smallest number that is sufficient.
+#: Number of times between scans, or delays, whose median is used, and the smallest number that is
+#: sufficient.
 MAX_INTERVALS, MIN_INTERVALS = 50, 10
 #: Smallest share of a turn that tells a laser that turns from a camera, whose beams are measured
 #: at once.
@@ -18,6 +19,9 @@ MIN_SHARE = 0.5
 #: Ratios of the stated to the expected duration beyond which it is wrong: with half of the scans
 #: lost it is 0.5, while drivers that are known to be wrong are so by factors of 3 to 20.
 MIN_RATIO, MAX_RATIO = 0.4, 2.0
+#: Shortest duration of a scan [ns] of which the delay tells when it began, and share of it by
+#: which a scan must arrive after odometry of the same stamp: it is sent when it is complete.
+MIN_DURATION, MIN_DELAY_SHARE = NS // 50, 0.3
 
 
 class ScanTiming:
@@ -27,8 +31,30 @@ class ScanTiming:
         self._newest: dict[str, int] = {}
         self._intervals: defaultdict[str, deque[int]] = defaultdict(
             lambda: deque(maxlen=MAX_INTERVALS))
-        #: what is wrong with the latest scan, '' if nothing is
-        self.fault = ''
+        self._odometry_delays: deque[int] = deque(maxlen=MAX_INTERVALS)
+        self._scan_delays: deque[int] = deque(maxlen=MAX_INTERVALS)
+        #: what is wrong with the duration and the stamp of the latest scan, '' if nothing is
+        self.fault = self.stamp_fault = ''
+
+    def add_odometry(self, delay: int) -> None:
+        """Add the time from the stamp of odometry to its reception [ns]."""
+        self._odometry_delays.append(delay)
+
+    def add_delay(self, delay: int, duration: int) -> None:
+        """Add the time from the stamp of a scan to its reception, and its duration [ns]."""
+        self._scan_delays.append(delay)
+        self.stamp_fault = ''
+        delays = self._odometry_delays, self._scan_delays
+        # Log times of a converted bag are the stamps.
+        if (duration < MIN_DURATION or min(map(len, delays)) < MIN_INTERVALS
+                or not any(map(any, delays))):
+            return
+        later = median(self._scan_delays) - median(self._odometry_delays)
+        if later < MIN_DELAY_SHARE * duration:
+            self.stamp_fault = (
+                f'the scans last {round(duration / 1e6)} ms, but arrive {round(later / 1e6)} ms'
+                ' later than odometry of the same stamp, so that they seem to have the stamps of'
+                ' their last beams')
 
     def add(self, laser: str, stamp: int, scan: LaserScan, scan_time: float) -> None:
         """

@@ -182,6 +182,31 @@ def test_scans_that_last_shorter_than_the_laser_turns_are_named(times):
     assert ('cover 360 degrees every' in warning) == is_named
 
 
+#: Times [ms] from the stamps of scans of 0.1 s and of odometry to their reception.
+DELAYS = {
+    'first beam': (105, 4, False), 'last beam': (5, 4, True),
+    'first beam, clocks differ': (3105, 3004, False),
+    'last beam, clocks differ': (3005, 3004, True),
+    'log times are stamps': (0, 0, False)}
+
+
+@pytest.mark.parametrize('case', DELAYS)
+def test_scans_that_arrive_before_they_can_be_complete_are_named(case):
+    of_scan, of_odometry, is_named = DELAYS[case]
+    session, scan = session_of(), scan_of(POSTS, beams=360, sigma=0.005)
+
+    run(session, *[
+        replace(raw('r1/odom', odometry_message(ms)), received=(ms + of_odometry) * 10**6)
+        for ms in range(0, 4000, 100)], *[
+        replace(
+            scan_message(ms, 'r1/base_link', scan, time_increment=0.1 / 360, scan_time=0.1),
+            received=(ms + of_scan) * 10**6)
+        for ms in range(0, 3000, 100)])
+
+    (_, warning, _), = session.counts()
+    assert ('stamps of their last beams' in warning) == is_named
+
+
 def test_scans_of_a_laser_at_a_lower_rate_than_it_turns_are_right():
     # Nine of ten scans are dropped on the way; the message states the time between scans.
     session, scan = session_of(), scan_of(POSTS, beams=360, sigma=0.005)
