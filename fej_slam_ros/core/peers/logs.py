@@ -114,7 +114,7 @@ class Log:
                 return
             first, ahead = known.count, known.ahead
         for number in [*range(first, len(self.blocks)), *self.ahead]:
-            if number not in ahead and number < first + most:
+            if first <= number < first + most and number not in ahead:
                 yield number
 
 

@@ -387,3 +387,21 @@ def test_nothing_more_is_sent_of_a_robot_that_is_no_longer_a_peer_of_the_receive
     drive(robots['p'], first=3)
 
     assert bytes_of_blocks(robots, radio, 10.0)['p'] == 0
+
+
+def test_a_robot_that_overheard_a_part_of_a_log_sends_nothing_to_one_that_has_all_of_it():
+    robots = team('p', 'q', 'z')
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(1.0)
+    name = LogName('p', 'q')
+    robots['p'].logs.publish(name, [b'A', b'_', b'm'])
+    for block in map(robots['p'].logs.logs[name].block, (0, 2)):
+        # The block between was lost, and z is not sent what is about q.
+        robots['z'].logs.add(block)
+    radio.run(3.0, lambda a, b: {a, b} == {'p', 'q'})
+    assert robots['q'].logs.logs[name].blocks == [b'A', b'_', b'm']
+
+    sent = bytes_of_blocks(robots, radio, 10.0)
+
+    assert robots['z'].logs.logs[name].knowledge().ahead == {2}
+    assert sent == dict.fromkeys(robots, 0)
