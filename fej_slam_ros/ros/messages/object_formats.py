@@ -81,7 +81,8 @@ def aruco(message: Message) -> Iterator[SensedObjects]:
 
 def detection3d(message: Message) -> Iterator[SensedObjects]:
     """Yield the detections of a Detection3DArray, recognised by their class."""
-    return _detections(message, lambda detection, best: best.hypothesis.class_id)
+    return _detections(
+        message, lambda detection, best: None if best is None else best.hypothesis.class_id)
 
 
 def detection3d_track(message: Message) -> Iterator[SensedObjects]:
@@ -167,9 +168,14 @@ def _by_sensor(objects: Iterable[tuple[Header, SensedObject]]) -> Iterator[Sense
 
 
 def _detections(
-    message: Message, name: Callable[[Message, Message], str]
+    message: Message, name: Callable[[Message, Message | None], str | None]
 ) -> Iterator[SensedObjects]:
-    """Yield the detections of each frame with their most likely hypotheses."""
+    """
+    Yield the detections of each frame with their most likely hypotheses.
+
+    The name is that of a detection and its hypothesis, which may be missing; None if it has none.
+
+    """
     if not message.detections:
         yield SensedObjects(message.header, [])
     yield from _by_sensor(
@@ -180,15 +186,20 @@ def _detections(
         for detection in message.detections)
 
 
-def _detection(detection: Message, name: Callable[[Message, Message], str]) -> SensedObject:
+def _detection(
+    detection: Message, name: Callable[[Message, Message | None], str | None]
+) -> SensedObject:
     best = max(detection.results, key=lambda result: result.hypothesis.score, default=None)
-    if best is None:
+    identity = name(detection, best)
+    if identity is None:
         return SensedObject('', ORIGIN, UPRIGHT, fault=RejectionReason.NO_IDENTITY)
-    P = np.reshape(best.pose.covariance, (6, 6))[:3, :3]
-    # Detectors that give a box only leave the pose as it is by default.
-    pose = detection.bbox.center if best.pose.pose == UNSET_POSE else best.pose.pose
-    return SensedObject(
-        name(detection, best), pose.position, pose.orientation, P if P.any() else None)
+    # Detectors that give a box only have no hypothesis, or leave its pose as it is by default.
+    pose = detection.bbox.center
+    P = np.zeros((3, 3))
+    if best is not None:
+        P = np.reshape(best.pose.covariance, (6, 6))[:3, :3]
+        pose = pose if best.pose.pose == UNSET_POSE else best.pose.pose
+    return SensedObject(identity, pose.position, pose.orientation, P if P.any() else None)
 
 
 def _landmark(entry: Message) -> SensedObject:

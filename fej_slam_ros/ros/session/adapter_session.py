@@ -29,6 +29,16 @@ from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
 #: Maximum number of objects in a message, and of its bytes, beyond which it is not decoded.
 MAX_MESSAGE_OBJECTS, MAX_MESSAGE_SIZE = 2_000, 4_000_000
+#: What detections need that are rejected, by the reason, where the reason does not say it.
+CURES = {
+    RejectionReason.NO_IDENTITY.value:
+        'they have no hypothesis, use the format detection3d_track or detection3d_anonymous',
+    RejectionReason.DUPLICATE_ID.value:
+        'objects of one class are no landmarks by it, use the format detection3d_track or'
+        ' detection3d_anonymous; print each tag once',
+    RejectionReason.BAD_COVARIANCE.value:
+        'give variances of x, y and z above zero, or all zero if they are unknown',
+    RejectionReason.OUT_OF_RANGE.value: 'give metres and m^2, see max_range'}
 #: Name in reports of what is on topics of the team and of an unknown robot.
 UNKNOWN_ROBOT = 'unknown robot'
 
@@ -297,6 +307,10 @@ class AdapterSession:
         """Return the sentence on the most serious condition of a robot, '' if all is well."""
         origins = self._queue.unknown()
         frames = [origin.frame for origin in origins if self._reported(origin) == name]
+        if frames and self._frames.is_fixed(name, frames[0]):
+            return (
+                f'the frame {frames[0]!r} is that of a map or of odometry: publish detections in'
+                ' the frame of their camera')
         if frames:
             return _unknown_pose(name, frames[0])
         if self._ids.conflicts:
@@ -305,9 +319,14 @@ class AdapterSession:
                 f' {min(self._ids.conflicts)!r}: give them IDs in ids_file')
         if name != UNKNOWN_ROBOT and not counts['messages']:
             return self._why_no_messages(name, counts, origins)
-        is_rejected = any(n for key, n in counts.items() if key.startswith('rejected_'))
-        used = counts['landmarks'] + counts['robots']
-        return 'all detections are rejected' if is_rejected and not used else ''
+        rejected = Counter({
+            key.removeprefix('rejected_'): n for key, n in counts.items()
+            if key.startswith('rejected_')})
+        if not rejected or counts['landmarks'] + counts['robots']:
+            return ''
+        reason, _ = rejected.most_common(1)[0]
+        return f'all detections are rejected, most as {reason}' + (
+            f': {CURES[reason]}' if reason in CURES else '')
 
     def _why_no_messages(
         self, name: str, counts: Counter[str], origins: Sequence[Origin]
@@ -330,6 +349,8 @@ def _unknown_pose(name: str, frame: str) -> str:
             f'the frame {frame!r} is of no robot, or which one is not known from odometry'
             ' and static transforms: begin it with the name of the robot, or publish on'
             ' <robot>/tf')
+    if not frame:
+        return f'the messages have no frame_id: set it in the detector, or set {name}.sensor_pose'
     return (
         f'no static transform from the frame {frame!r} to the base frame: publish it'
         f' on /tf_static, or set {name}.sensor_pose')

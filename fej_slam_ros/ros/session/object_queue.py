@@ -129,9 +129,13 @@ class ObjectQueue:
         """Return the pose (4, 4) of a sensor, which its message may have; None if unknown."""
         if frame and self._frames.is_base(robot, frame):
             return np.eye(4) if reported is None else reported
+        if self._frames.is_fixed(robot, frame):
+            return None
         if robot in self._given:
             return self._given[robot]
-        return self._frames.pose(robot, frame) if reported is None else reported
+        if reported is None and frame:
+            return self._frames.pose(robot, frame)
+        return reported
 
     def _pop(self, origin: Origin) -> ObjectScan:
         scans = self._waiting[origin]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import decoded_as, incoming, Message, RawMessage
@@ -67,6 +68,10 @@ class SensorFrames:
     def is_base(self, robot: str, frame: str) -> bool:
         """Return whether a frame is the base frame of a robot."""
         return self._names.is_base(robot, frame)
+
+    def is_fixed(self, robot: str, frame: str) -> bool:
+        """Return whether a frame is a map or that of the odometry of a robot, hence no sensor."""
+        return frame in {MAP, own_frame(robot), self._names.odometry(robot)}
 
     def base(self, robot: str) -> str:
         """Return the base frame of a robot."""

@@ -74,6 +74,59 @@ def test_an_object_of_an_optical_frame_is_observed_in_the_base_frame(name, messa
     np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
 
 
+@pytest.mark.parametrize('name', ['detection3d_track', 'detection3d_anonymous'])
+def test_a_detection_that_is_a_box_without_hypothesis_is_at_its_centre(name):
+    message = foreign.detections3d(5, 'r1/camera', [None], box=SEEN)
+
+    (ids, points, _), = clouds(run(session_of(formats=[name]), ODOMETRY, CAMERA, message))
+
+    assert ids == [-1]
+    np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('frame', 'sentence'),
+    [('map', "the frame 'map' is that of a map or of odometry"),
+     ('r1/odom', "the frame 'r1/odom' is that of a map or of odometry")])
+def test_objects_in_the_world_are_not_taken_for_detections_of_a_camera(frame, sentence):
+    session = session_of(
+        formats=['marker_array'], **{'r1.sensor_pose': [0.2, 0.0, 0.5, -1.57, 0.0, 0.0]})
+
+    found = run(session, ODOMETRY, foreign.marker_array(5, frame, {('tags', 6): SEEN}))
+
+    assert clouds(found) == []
+    assert [warning.partition(':')[0] for _, warning, _ in session.counts()] == [sentence]
+
+
+def test_a_camera_without_frame_needs_a_pose_and_is_not_the_base():
+    message = foreign.marker_array(5, '', {('tags', 6): SEEN})
+    session = session_of(formats=['marker_array'])
+    known = session_of(
+        formats=['marker_array'], **{'r1.sensor_pose': [0.2, 0.0, 0.5, -np.pi / 2, 0.0, 0.0]})
+
+    assert clouds(run(session, ODOMETRY, message)) == []
+    assert [warning for _, warning, _ in session.counts()] == [
+        'the messages have no frame_id: set it in the detector, or set r1.sensor_pose']
+    (_, points, _), = clouds(run(known, ODOMETRY, message))
+    np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('detections', 'reason', 'cure'),
+    [([('chair', '1', SEEN, None), ('chair', '2', (2, 0, 3), None)], 'duplicate_id',
+      'detection3d_track'),
+     ([('4', '', SEEN, -np.eye(6))], 'bad_covariance', 'all zero if they are unknown'),
+     ([None], 'no_identity', 'detection3d_anonymous')])
+def test_why_all_detections_are_rejected_is_told_with_a_cure(detections, reason, cure):
+    session = session_of(formats=['detection3d'])
+
+    run(session, ODOMETRY, CAMERA, foreign.detections3d(5, 'r1/camera', detections))
+
+    (_, warning, _), = session.counts()
+    assert f'rejected, most as {reason}: ' in warning
+    assert cure in warning
+
+
 def test_range_yaw_and_pitch_are_seen_from_the_sensor_of_the_message():
     # The laser is turned to the left by 90 degrees, 0.5 m ahead.
     laser = foreign.pose((0.5, 0.0, 0.3), foreign.turned(w=np.sqrt(0.5), z=np.sqrt(0.5)))
@@ -548,7 +601,7 @@ def test_boards_are_landmarks_too():
     [
         ([], 'no detections: publish them on r1/tf'),
         ([foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': (200.0, 0.0, 1.0)})],
-         'all detections are rejected'),
+         'all detections are rejected, most as out_of_range: give metres and m^2, see max_range'),
         ([foreign.april_tags(5, 'r1/base_link', {'tag36h11:4': SEEN})], ''),
     ],
 )
