@@ -111,17 +111,26 @@ def twice(topic, every, change=lambda entry: None):
 
 def with_pose(topic, frame, covariance):
     """Return a fault that adds a pose at the origin of a frame in the middle of the bag."""
+    return with_poses(topic, frame, covariance, 1)
+
+
+def with_poses(topic, frame, covariance, number):
+    """Return a fault that adds poses at the origin of a frame, with the stamps of odometry."""
     def plant(found):
-        middle = found[len(found) // 2]
+        odometry = [entry for entry in found if entry.topic == 'r2/odom']
+        middle = len(odometry) // 2
+        return [*found, *map(pose_at, odometry[middle:middle + number])]
+
+    def pose_at(entry):
         pose = ros.geometry_msgs__msg__Pose(
             position=ros.geometry_msgs__msg__Point(0.0, 0.0, 0.0),
             orientation=ros.geometry_msgs__msg__Quaternion(0.0, 0.0, 0.0, 1.0))
         message = ros.geometry_msgs__msg__PoseWithCovarianceStamped(
             header=ros.std_msgs__msg__Header(
-                stamp=middle.message.header.stamp, frame_id=frame),
+                stamp=entry.message.header.stamp, frame_id=frame),
             pose=ros.geometry_msgs__msg__PoseWithCovariance(
                 pose=pose, covariance=covariance.ravel()))
-        return [*found, Entry(topic, message, middle.logged)]
+        return Entry(topic, message, entry.logged)
     return plant
 
 

@@ -11,11 +11,10 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
+from fej_slam_ros.ros.session.input_faults import MAX_PROCESSING
 
 #: Upper bound of the share of the team's time that a robot may miss at the begin or end.
 MAX_SILENT_SHARE = 0.25
-#: Longest time from a measurement to its message [ns]; stamps that are older are of another clock.
-MAX_PROCESSING = 10 * NS
 #: Minimum number of messages in a third of a topic whose median delay is compared for drift.
 MIN_DRIFT_MESSAGES = 11
 

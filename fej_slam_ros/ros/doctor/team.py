@@ -11,6 +11,7 @@ from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.session.estimator_diagnostics import NIS_ERROR
+from fej_slam_ros.ros.session.input_health import are_repeated
 
 #: Upper bounds of the share of observations that fail the gate, for a consistent robot and for one
 #: whose pose may be correct; 0.1 % of correct observations fail.
@@ -25,6 +26,16 @@ NIS_RANGE = (0.2, 2.0)
 NIS_PLAUSIBLE_RANGE = (0.01, NIS_ERROR)
 #: Minimum degrees of freedom to judge NIS by.
 MIN_NIS_DOF = 40
+
+
+def _repeated_poses(trial: Trial) -> Iterator[Finding]:
+    for robot, stamps in trial.inputs.health.pose_priors.items():
+        if are_repeated(sorted(stamps)):
+            yield warning(
+                'repeated_poses', f'{robot}/set_pose',
+                f'it has {len(stamps)} poses, each of which restarts the robot',
+                'use set_pose for relocalisation only: poses of GPS or of another localisation'
+                ' make the robot less accurate', len(stamps), min(stamps))
 
 
 def is_consistent(trial: Trial) -> bool:
@@ -50,6 +61,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
         yield error(
             'blind_anchor', anchor, 'the anchor never observes a landmark',
             'choose another robot for the parameter anchor, or check its detector')
+    yield from _repeated_poses(trial)
     for name in trial.estimator.robots:
         yield from _contradictions(name, survey, trial)
         yield from _nis(name, trial)

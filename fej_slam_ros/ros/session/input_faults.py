@@ -17,7 +17,7 @@ from typing import NamedTuple
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_health import (
-    InputHealth, MIN_GATE_SAMPLE, RATE_WINDOW, TopicFlow)
+    InputHealth, MIN_GATE_SAMPLE, RATE_WINDOW, TopicFlow, UNMOVED_MESSAGES)
 from fej_slam_ros.ros.session.inputs import MEASUREMENT_TOPICS, OBSERVATION_TOPICS, SENT_TOPICS
 
 #: Fraction of gated observations above which to warn, and above which it is an error; a correct
@@ -47,6 +47,9 @@ MAX_RATE = 1000.0
 #: Delay of the other robots [ns] above which to warn: poses of half a second ago are of no use to
 #: a controller, and odometry at 5 Hz stays below half of it.
 MAX_LAG = NS // 2
+#: Difference of delays [ns] by which observations and odometry have different clocks; cameras and
+#: detectors need less time.
+MAX_PROCESSING = 10 * NS
 #: Multiple of the usual gap of the others' odometry up to which a delay is normal, so that a team
 #: whose robots all send slowly is none.
 NORMAL_LAG_RATIO = 3
@@ -184,6 +187,25 @@ def _all_rejected(given: RobotInput) -> Iterator[Fault]:
                 f' all rejected: {reasons_in_words(flow.rejected_in_a_row)}')
 
 
+def _other_clock(given: RobotInput) -> Iterator[Fault]:
+    odometry = given.flow('odom').delay
+    for kind in OBSERVATION_TOPICS:
+        delay = given.flow(kind).delay
+        if delay is None or odometry is None or abs(delay - odometry) <= MAX_PROCESSING:
+            continue
+        side = 'behind' if delay > odometry else 'ahead of'
+        yield Fault(Level.ERROR, (
+            f'the stamps on {given.topic(kind)} are {_seconds(abs(delay - odometry))} {side} those'
+            ' of its odometry: stamp both with the time of measurement by one clock'))
+
+
+def _unmoved(given: RobotInput) -> Iterator[Fault]:
+    if given.health.unmoved[given.robot] >= UNMOVED_MESSAGES:
+        yield Fault(Level.ERROR, (
+            f'{given.topic("odom")} has velocities, but its pose never changes: integrate them'
+            ' into pose.pose, only poses are used'))
+
+
 def _too_large(given: RobotInput) -> Iterator[Fault]:
     for kind in OBSERVATION_TOPICS:
         largest = given.flow(kind).largest
@@ -254,8 +276,8 @@ def _delays_others(given: RobotInput) -> Iterator[Fault]:
 #: Each yields the faults of one kind.
 CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
     _other_type, _incompatible_qos, _no_odometry, _odometry_stopped, _no_observations,
-    _observations_stopped, _all_rejected, _too_large, _too_frequent, _beyond_limits,
-    _mostly_gated, _none_used, _delays_others)
+    _observations_stopped, _all_rejected, _other_clock, _unmoved, _too_large, _too_frequent,
+    _beyond_limits, _mostly_gated, _none_used, _delays_others)
 
 
 def _stopped(given: RobotInput, kind: str, what: str) -> str:

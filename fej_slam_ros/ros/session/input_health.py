@@ -3,10 +3,12 @@
 """Health of the input: rate, gaps, rejections and use of the messages of each robot."""
 
 from collections import Counter, defaultdict, deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from statistics import median
 from typing import NamedTuple
 
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.time_jump import Consumer
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
@@ -35,8 +37,20 @@ OBSERVATION_WINDOW = 30 * NS
 #: message is no fault, and two reports are a second apart.
 MIN_REJECTED = 3
 MIN_REJECTED_TIME = NS
+#: Number of poses of a robot within a time [ns] that are no relocalisation, but those of GPS or of
+#: another localisation.
+REPEATED_POSES, REPEATED_TIME = 5, 60 * NS
+#: Number of odometry messages in a row with one pose while the robot drives by their velocities,
+#: and speeds [m/s, rad/s] above which it drives; drivers may send a pose a few times.
+UNMOVED_MESSAGES, MIN_SPEEDS = 100, (0.05, 0.05)
 #: Reasons for which input that is sent again is rejected, as intended.
 SENT_AGAIN = {RejectionReason.DUPLICATE, RejectionReason.BEFORE_CHECKPOINT}
+
+
+def are_repeated(stamps: Sequence[int]) -> bool:
+    """Return whether poses with ascending stamps [ns] are too many for a relocalisation."""
+    return any(
+        last - first <= REPEATED_TIME for first, last in zip(stamps, stamps[REPEATED_POSES - 1:]))
 
 
 class LargeScan(NamedTuple):
@@ -54,6 +68,7 @@ class TopicFlow:
     received: int = 0  #: number of messages
     observations: int = 0  #: number of observations in them that are not rejected at once
     largest: LargeScan | None = None  #: the newest scan that was rejected by its size
+    delay: int | None = None  #: from the stamp of the newest message to its reception [ns]
     last: int | None = None  #: time of reception of the newest message [ns]
     #: messages that were rejected since the last accepted one, by reason, and the time of the
     #: first of them [ns]
@@ -207,6 +222,8 @@ class InputHealth:
     first_messages : robot and topic of each first message, until they are taken
     newest : newest odometry stamp of each robot [ns]
     pose_priors : stamps [ns] of the pose priors of each robot that wait for its next step
+    unmoved : number of the latest odometry messages of each robot that have velocities, but the
+        same pose
     rejected_priors : robot and reason of each rejected pose prior, until they are taken
 
     """
@@ -218,6 +235,8 @@ class InputHealth:
         self.pose_priors: dict[str, list[int]] = {}
         self.rejected_priors: deque[tuple[str, RejectionReason]] = deque(maxlen=MAX_NOTES)
         self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
+        self.unmoved: Counter[str] = Counter()
+        self._poses: dict[str, list[float]] = {}
         self._flows: defaultdict[str, defaultdict[str, TopicFlow]] = (
             defaultdict(lambda: defaultdict(TopicFlow)))
         # Longest time [ns] by which the odometry of each robot was behind: since the last report,
@@ -263,12 +282,23 @@ class InputHealth:
             if lag > self._lags.get(name, 0) and lag <= self.longest_lead:
                 self._lags[name] = lag
 
+    def receive_velocity(self, robot: str, pose: Array, velocity: tuple[float, float]) -> None:
+        """Add pose (3,), and forward and turn rates [m/s, rad/s], of accepted odometry."""
+        newest = pose.tolist()
+        if self._poses.get(robot) != newest:
+            self._poses[robot] = newest
+            self.unmoved[robot] = 0
+        elif any(abs(v) > least for v, least in zip(velocity, MIN_SPEEDS)):
+            self.unmoved[robot] += 1
+
     def remove_robot(self, robot: str) -> None:
         """Delete the state of a robot that was removed."""
         self._flows.pop(robot, None)
         self.robots.pop(robot, None)
         self.newest.pop(robot, None)
         self.pose_priors.pop(robot, None)
+        self.unmoved.pop(robot, None)
+        self._poses.pop(robot, None)
         for lags in (self._lags, *self._past_lags):
             del lags[robot]
 

@@ -223,6 +223,7 @@ class Inputs:
             return
         if received is not None:
             self.delays[robot.name] = received - stamp
+            self.health.flow(robot.name, kind).delay = received - stamp
             if kind == 'odom':
                 self.clock_offsets.add(robot.name, received - stamp)
         try:
@@ -252,7 +253,10 @@ class Inputs:
         record, message, received = arrived
         if not self.time_jump_detector.add(record, received):
             return
+        velocity = message.twist.twist
         self.health.receive_odometry(record.robot, record.stamp)
+        self.health.receive_velocity(
+            record.robot, record.pose, (velocity.linear.x, velocity.angular.z))
         self.frames.add(record.robot, message)
         self.on_odometry(record, message)
         robot = self._consumer.robots[record.robot]

@@ -11,7 +11,7 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_faults import reasons_in_words
-from fej_slam_ros.ros.session.input_health import TopicFlow
+from fej_slam_ros.ros.session.input_health import are_repeated, REPEATED_POSES, TopicFlow
 from fej_slam_ros.ros.session.inputs import Inputs, MEASUREMENT_TOPICS
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity, RepeatableLines
 from fej_slam_ros.ros.session.outputs import ConsumerT
@@ -29,6 +29,8 @@ PRIOR_REASONS = {
         'the robot has joined map at the same step, by what it observes',
     RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team',
     RejectionReason.NOT_JOINED: 'it is not known where the robot was in map'}
+#: Time [ns] from the stamp of a pose to the step that uses it, above which the robot has moved on.
+MAX_PRIOR_AGE = NS // 2
 #: What a pose that is no prior needs, by the reason of its rejection.
 PRIOR_CURES = {
     RejectionReason.WRONG_FRAME:
@@ -69,6 +71,9 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._has_jumped = False
         self._rejected_topics: set[str] = set()  # of which all messages are rejected
         self._repeatable = RepeatableLines()
+        # Steps [ns] that have used the latest poses of `set_pose`, and robots with too many.
+        self._priors: dict[str, deque[int]] = {}
+        self._warned_of_priors: set[str] = set()
         self._missing: Sequence[str] = ()
         self._reminders = 0
 
@@ -197,9 +202,25 @@ class RunLog(ABC, Generic[ConsumerT]):
                 and rejected.reason in PRIOR_REASONS]
             if reasons:
                 line = LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}'
+            elif given and until - given > MAX_PRIOR_AGE:
+                line = LogSeverity.WARN, (
+                    f'set_pose of {robot} accepted {(until - given) / NS:.1f} s after its stamp:'
+                    ' the robot is placed where it was then')
             else:
                 line = LogSeverity.INFO, f'set_pose of {robot} accepted'
             self._lines.extend(self._repeatable.lines(*line))
+            if not reasons:
+                self._note_repeated_priors(robot, until)
+
+    def _note_repeated_priors(self, robot: str, stamp: int) -> None:
+        latest = self._priors.setdefault(robot, deque(maxlen=REPEATED_POSES))
+        latest.append(stamp)
+        if are_repeated([*latest]) and robot not in self._warned_of_priors:
+            self._warned_of_priors.add(robot)
+            self.add(LogSeverity.WARN, (
+                f'set_pose of {robot} has come {REPEATED_POSES} times in'
+                f' {(latest[-1] - latest[0]) / NS:.1f} s: each restarts the robot, so that poses'
+                ' of GPS or of another localisation make it less accurate'))
 
     def _note_first_messages(self) -> None:
         first = self._inputs.health.first_messages

@@ -14,7 +14,8 @@ from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, floating_ids, framed, kept, looped,
     moved, NS, of_type_pose, out_of_order, planted, recorded_late, scaled, shifted,
-    turned, twice, twist_covariance, with_pose, without)
+    turned, twice, twist_covariance, with_pose, with_poses,
+    without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
@@ -169,6 +170,9 @@ FAULTS = {
     'pose without variances': (
         C, with_pose('r2/set_pose', 'map', np.zeros((6, 6))), 1, 'bad_covariance', 'r2/set_pose',
         'above zero'),
+    'poses of GPS': (
+        C, with_poses('r2/set_pose', 'map', np.eye(6), 10), None, 'repeated_poses', 'r2/set_pose',
+        'GPS'),
     'pose of RViz for none of several robots': (
         C, with_pose('initialpose', 'map', np.eye(6)), 0, 'not_used', 'initialpose',
         'initialpose_robot'),

@@ -82,6 +82,30 @@ def test_a_pose_prior_is_accepted_and_is_the_cause():
     assert lines[2:] == ['r2 joined map, by set_pose', 'set_pose of r2 accepted']
 
 
+def test_a_pose_prior_that_arrives_late_is_named_as_such():
+    records = meeting(20)
+
+    lines = lines_of([*records[:-4], prior(200, 1.2), *records[-4:]])
+
+    # Odometry is there up to 1.8 s, so that all steps before 1.7 s are done (max_delay of 0.1 s).
+    assert ('set_pose of r2 accepted 1.5 s after its stamp: the robot is placed where it was'
+            ' then') in lines
+
+
+def test_a_stream_of_pose_priors_is_named_once():
+    records = meeting(20)
+    for k in range(8):
+        records.append(odometry('r2', 2000 + 100 * k, (0.1 * k, 0.0, 0.0)))
+        records.append(prior(2000 + 100 * k, 3.0 + 0.1 * k))
+
+    lines = lines_of(records)
+
+    warning, = (line for line in lines if 'GPS' in line)
+    assert warning == (
+        'set_pose of r2 has come 5 times in 0.4 s: each restarts the robot, so that poses of GPS'
+        ' or of another localisation make it less accurate')
+
+
 def test_a_rejected_pose_prior_has_its_reason():
     records = meeting(8)
 

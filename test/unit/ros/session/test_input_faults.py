@@ -4,6 +4,7 @@
 
 from collections import Counter
 
+import numpy as np
 import pytest
 
 from fej_slam_ros.core.estimator import Estimator
@@ -284,3 +285,30 @@ def test_faults_that_go_on_are_reported_after_the_clock_was_set_back():
         'messages on /fleet/r2/landmarks were all rejected' in sentence
         for sentence in sentences)
     assert any('observations used for 9.0 s' in sentence for sentence in sentences)
+
+
+@pytest.mark.parametrize(('odometry', 'scans', 'side'), [
+    (0, 1_700_000_000, 'behind'), (1_700_000_000, 0, 'ahead of'), (3600, 3600, None),
+    (0, 1, None)])
+def test_observations_with_another_clock_than_odometry_are_an_error(odometry, scans, side):
+    case = flowing().messages('landmarks', range(0, 10 * S, 100))
+    for kind, delay in ('odom', odometry), ('landmarks', scans):
+        case.health.flow('r2', kind).delay = delay * S * MS
+
+    assert case.at(10 * S) == ([] if side is None else [(ERROR, (
+        f'the stamps on /fleet/r2/landmarks are 1700000000.0 s {side} those of its odometry: stamp'
+        ' both with the time of measurement by one clock'))])
+
+
+@pytest.mark.parametrize(('poses', 'speed', 'is_fault'), [
+    # A pose that never changes, one that is sent five times in a row, and a robot at rest.
+    (lambda k: 0.0, 0.5, True), (lambda k: 0.1 * (k // 5), 0.5, False),
+    (lambda k: 0.0, 0.0, False)])
+def test_velocities_without_motion_of_the_pose_are_an_error(poses, speed, is_fault):
+    case = flowing()
+    for k in range(200):
+        case.health.receive_velocity('r2', np.array([poses(k), 0.0, 0.0]), (speed, 0.0))
+
+    assert case.at(10 * S) == ([(ERROR, (
+        '/fleet/r2/odom has velocities, but its pose never changes: integrate them into pose.pose,'
+        ' only poses are used'))] if is_fault else [])
