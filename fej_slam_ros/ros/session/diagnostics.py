@@ -181,7 +181,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     ) -> tuple[Level, str]:
         """Add the conditions of the input of a robot to level and message of its estimate."""
         found = faults(self._input_of(robot, now))
-        found += [Fault(Level.WARN, change) for change in self._inputs.frames.changes(robot)]
+        found += [Fault(Level.WARN, fault) for fault in self._inputs.frames.faults(robot)]
         if robot in self.other_publishers:
             found.append(Fault(Level.WARN, also_published(self.other_publishers[robot])))
         found += self._clock_faults(robot)

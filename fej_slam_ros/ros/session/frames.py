@@ -82,7 +82,7 @@ class FrameNames:
         """Return the odometry frame: of the parameter, of the first odometry, or a default."""
         given, name = self._given(robot, 'odom_frame'), self._odometry_name(robot)
         others = (self._odometry_name(other) for other in self._others(robot))
-        is_own = name not in {'', self._map_frame, own_frame(robot)} and name not in others
+        is_own = name not in {'', *self._maps(robot)} and name not in others
         return given or (name if is_own else f'{robot}/odom')
 
     def base(self, robot: str) -> str:
@@ -91,11 +91,15 @@ class FrameNames:
         others = (self._base_name(other) for other in self._others(robot))
         return given or (name if name and name not in others else f'{robot}/base_link')
 
-    def changes(self, robot: str) -> Iterator[str]:
-        """Yield one sentence for each frame of the odometry of a robot that has changed."""
+    def faults(self, robot: str) -> Iterator[str]:
+        """Yield a sentence for each frame of the odometry of a robot that changes or is a map."""
         first, base = self.odometry(robot), self.base(robot)
         newest, children = self._newest.get(robot, first), self._children.get(robot, set())
-        if newest != first == self._odometry.get(robot):
+        if newest in self._maps(robot):
+            yield (
+                f'its odometry is in the frame {newest!r}, as that of a localisation whose'
+                ' corrections are no motion: publish odometry that drifts, but never jumps')
+        elif newest != first == self._odometry.get(robot):
             yield (
                 f'the frame of its odometry has changed from {first!r} to {newest!r}, to which no'
                 ' transform from map leads: correct the driver, or start this node again')
@@ -123,6 +127,9 @@ class FrameNames:
         self._odometry = stored['odometry_frames']
         for robot, names in stored['child_frames'].items():
             self._children[robot].update(names)
+
+    def _maps(self, robot: str) -> set[str]:
+        return {self._map_frame, own_frame(robot)}
 
     def _others(self, robot: str) -> Iterator[str]:
         """Yield the robots whose frames must have other names."""

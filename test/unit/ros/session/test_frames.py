@@ -91,9 +91,18 @@ def test_a_frame_that_a_driver_has_renamed_is_reported(frame, child, parts):
 
     names.add('r1', replace(odometry_message(child=child), header=header(100, frame)))
 
-    sentences = list(names.changes('r1'))
+    sentences = list(names.faults('r1'))
     assert len(sentences) == len(parts)
     assert all(part in sentence for part, sentence in zip(parts, sentences))
+
+
+@pytest.mark.parametrize('frame', ['world', 'r1/map'])
+def test_odometry_of_a_localisation_is_reported(frame):
+    names = named({'r1': (frame, 'r1/base_link')}, map_frame='world')
+
+    sentence, = names.faults('r1')
+
+    assert f'is in the frame {frame!r}, as that of a localisation' in sentence
 
 
 def test_frames_of_parameters_do_not_change_with_the_odometry():
@@ -103,7 +112,7 @@ def test_frames_of_parameters_do_not_change_with_the_odometry():
     for frame in ('wheels', 'visual'):
         names.add('r1', replace(odometry_message(child=frame), header=header(0, frame)))
 
-    assert list(names.changes('r1')) == []
+    assert list(names.faults('r1')) == []
 
 
 @pytest.mark.parametrize(
