@@ -19,6 +19,7 @@ from fej_slam_ros.ros.messages import (
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
+from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
 from fej_slam_ros.ros.session.front_end import LANDMARK_IDS, RobotCounts
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.landmark_ids import LandmarkIds, number_of
@@ -95,6 +96,7 @@ class AdapterSession:
                for kind in ('landmarks', *(['robots'] if self._carriers else []))},
             **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
             LANDMARK_IDS: outgoing.TEXT_TYPE, DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
+        self._stamps = {name: DistinctStamps() for name in self.robots}
         # The name of an ignored object, by the robot of its topic.
         self._ignored: dict[str, str] = {}
         self._counts: dict[str, Counter[str]] = {
@@ -216,10 +218,10 @@ class AdapterSession:
             (self.robots[name].id, name, observation) for name, observation in self._robots(
                 robot, [item for item in near if self._carrier(item.name)], sensor).items()])
         self._counts[robot].update(messages=1, landmarks=len(landmarks), robots=len(robots))
-        frame = self._frames.base(robot)
+        frame, ids = self._frames.base(robot), [id_ for id_, _, _ in landmarks]
         points, R = _stacked([observation for _, _, observation in landmarks])
-        yield f'{robot}/landmarks', outgoing.detections(
-            scan.stamp, frame, [id_ for id_, _, _ in landmarks], points, R)
+        stamp = self._stamps[robot].of(scan.stamp) if NO_ID in ids else scan.stamp
+        yield f'{robot}/landmarks', outgoing.detections(stamp, frame, ids, points, R)
         if robots:
             yield f'{robot}/robots', outgoing.detections(
                 scan.stamp, frame, [id_ for id_, _, _ in robots],

@@ -22,6 +22,7 @@ from fej_slam_ros.ros.messages import (
     decoded_as, incoming, laser, markers, Message, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
+from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
 from fej_slam_ros.ros.session.front_end import RobotCounts
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY
 from fej_slam_ros.ros.session.outputs import (
@@ -56,6 +57,7 @@ class _RobotDetector:
         #: frame of the laser whose place on the robot is not known, '' if it is
         self.unknown_frame = ''
         self.has_frame = True  #: whether the latest scan names its frame
+        self.stamps = DistinctStamps()
         self.timing = ScanTiming()
 
 
@@ -216,12 +218,13 @@ class DetectorSession:
         state, frame, C = self._detectors[name], scan.frame, rotation(scan.mount[2])
         points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
         state.landmarks += len(points)
+        stamp = state.stamps.of(scan.end)
         self.radii[name].extend(landmarks.radii.tolist())
         yield f'{name}/landmarks', outgoing.detections(
-            scan.end, frame, [NO_ID] * len(points), points, R)
+            stamp, frame, [NO_ID] * len(points), points, R)
         if is_wanted(f'{name}/detection_markers'):
             yield f'{name}/detection_markers', markers.detection_markers(
-                scan.end, frame, points, R, landmarks.radii)
+                stamp, frame, points, R, landmarks.radii)
 
 
 def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:

@@ -173,6 +173,22 @@ def test_without_covariance_the_distance_is_less_exact_than_the_direction():
         R, [np.diag([(3.0 * 0.004)**2, 0.01**2 + (0.02 * 9.0)**2])], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ('name', 'nanoseconds'),
+    [('detection3d_anonymous', [5e6, 5e6 + 1]), ('detection3d', [5e6, 5e6])])
+def test_objects_without_id_of_two_cameras_at_one_time_are_of_two_steps(name, nanoseconds):
+    other = mounts(('r1/base_link', 'r1/rear', (0.0, 0.0, 0.5), OPTICAL))
+    images = [
+        foreign.detections3d(5, frame, [('12', '', SEEN, None)])
+        for frame in ('r1/camera', 'r1/rear')]
+
+    found = run(session_of(formats=[name]), ODOMETRY, CAMERA, other, *images)
+
+    assert [
+        message.header.stamp.nanosec for topic, message in found
+        if topic == 'r1/landmarks'] == nanoseconds
+
+
 def test_objects_wait_for_odometry_and_for_transforms_that_come_late():
     session = session_of()
     early = [foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in (5, 15)]

@@ -158,6 +158,8 @@ def test_lasers_with_the_same_stamps_are_both_used():
 
     assert [distances(points(message), POSTS[:, :2]).max() < 0.03 for message in found] == [
         True, True]
+    # In one step of the estimator, the observations of a post by both would be of two landmarks.
+    assert [message.header.stamp.nanosec for message in found] == [0, 1]
 
 
 #: Fields of scans of 360 degrees at 5 Hz: those of TurtleBot 3 in 2020 (ROBOTIS-GIT/turtlebot3,
