@@ -220,7 +220,9 @@ class AdapterSession:
         self._counts[robot].update(messages=1, landmarks=len(landmarks), robots=len(robots))
         frame, ids = self._frames.base(robot), [id_ for id_, _, _ in landmarks]
         points, R = _stacked([observation for _, _, observation in landmarks])
-        stamp = self._stamps[robot].of(scan.stamp) if NO_ID in ids else scan.stamp
+        stamp = scan.stamp
+        if NO_ID in ids:
+            stamp = self._stamps[robot].of(stamp, sensor.tobytes())
         yield f'{robot}/landmarks', outgoing.detections(stamp, frame, ids, points, R)
         if robots:
             yield f'{robot}/robots', outgoing.detections(

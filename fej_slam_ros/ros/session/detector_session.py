@@ -218,7 +218,7 @@ class DetectorSession:
         state, frame, C = self._detectors[name], scan.frame, rotation(scan.mount[2])
         points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
         state.landmarks += len(points)
-        stamp = state.stamps.of(scan.end)
+        stamp = state.stamps.of(scan.end, scan.laser)
         self.radii[name].extend(landmarks.radii.tolist())
         yield f'{name}/landmarks', outgoing.detections(
             stamp, frame, [NO_ID] * len(points), points, R)
