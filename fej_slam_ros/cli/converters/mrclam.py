@@ -51,10 +51,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--thin', metavar='SECONDS', type=number_option('--thin', 0.0), default=default.thin,
         help='minimum time between observations of a subject (default: %(default)g s; 0: use all)')
     parser.add_argument(
-        '--correlation-factor', metavar='FACTOR', default=default.correlation_factor,
+        '--correlation-factor', metavar='FACTOR',
         type=number_option('--correlation-factor', 1e-3),
         help='factor on the standard deviations of observations, since the errors of those that'
-        ' --thin leaves persist (default: %(default)g; 1 fits --thin 3, and 2 --thin 0)')
+        ' --thin leaves persist (default: as measured, or'
+        f' {default.correlation_factor:g} without ground truth)')
     parser.add_argument(
         '--no-robot-observations', '--no-robot-sightings', dest='robot_observations',
         action='store_false', help='leave out robot-to-robot observations')
@@ -95,7 +96,7 @@ def convert(arguments: Namespace) -> None:
 def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
     """Return the options as given by arguments, else as measured, else the defaults."""
     delay, scale = arguments.motion_delay, arguments.odometry_scale
-    options = noise.best_options(data, delay, scale and tuple(scale))
+    options = noise.best_options(data, delay, scale and tuple(scale), arguments.thin)
     sigmas = options.noise
     if arguments.range_sigma is not None:
         sigmas = replace(sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma)
@@ -103,8 +104,8 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
         sigmas = replace(
             sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
     return replace(
-        options, noise=sigmas, thin=arguments.thin,
-        correlation_factor=arguments.correlation_factor,
+        options, noise=sigmas,
+        correlation_factor=arguments.correlation_factor or options.correlation_factor,
         robot_observations=arguments.robot_observations)
 
 

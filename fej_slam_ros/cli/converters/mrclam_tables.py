@@ -16,7 +16,9 @@ SPEED_WINDOWS = (0.2, 1.0, 5.0)
 
 def noise_tables(data: MrclamSet, options: ConversionOptions) -> str:
     """Return tables of odometry settings, speed errors and observation errors."""
-    tables = _settings_rows(options), _speed_rows(data, options), _observation_rows(data)
+    tables = (
+        _settings_rows(options), _speed_rows(data, options), _camera_rows(options),
+        _observation_rows(data, options))
     return '\n\n'.join(text_table(head, rows) for head, *rows in tables)
 
 
@@ -29,8 +31,6 @@ def _settings_rows(options: ConversionOptions) -> Iterator[tuple[str, ...]]:
         yield (
             f'own turns of {robot_name(robot)} [rad/m, rad/rad]', f'{per_metre:+.3f}',
             f'{per_radian:+.3f}')
-    for robot, (offset, _) in options.bearing_offsets.items():
-        yield f'offset of bearings of {robot_name(robot)} [rad]', '', f'{offset:+.4f}'
     for k, amount in enumerate(('metre driven', 'radian turned')):
         yield (
             f'variance per {amount} [m^2, rad^2]',
@@ -49,7 +49,16 @@ def _speed_rows(data: MrclamSet, options: ConversionOptions) -> Iterator[tuple[s
             yield (name, *(f'{sd[axis]:.3f}' for axis in (0, 2) for sd in sds))
 
 
-def _observation_rows(data: MrclamSet) -> Iterator[tuple[str, ...]]:
+def _camera_rows(options: ConversionOptions) -> Iterator[tuple[str, ...]]:
+    yield 'camera', 'range offset [m]', 'range error per metre', 'bearing offset [rad]'
+    for robot, (bearing, _) in options.bearing_offsets.items():
+        offset, per_metre = options.range_errors.get(robot, (0.0, 0.0))
+        yield robot_name(robot), f'{offset:+.3f}', f'{per_metre:+.4f}', f'{bearing:+.4f}'
+
+
+def _observation_rows(
+    data: MrclamSet, options: ConversionOptions
+) -> Iterator[tuple[str, ...]]:
     landmarks, robots = observation_errors.observation_errors(data)
     by_kind = {
         kind: observation_errors.observation_noise(errors)
@@ -69,3 +78,5 @@ def _observation_rows(data: MrclamSet) -> Iterator[tuple[str, ...]]:
         yield (
             f'correlation of range errors {low:g} to {high:g} s apart',
             *(f'{m.correlation[low, high]:.2f}' for m in measured))
+    factor = f'{options.correlation_factor:.2f}'
+    yield ('factor for errors that persist', *(factor for _ in measured))

@@ -69,6 +69,9 @@ class ConversionOptions:
     #: Angles by which the bearings of a robot's camera are too large, by subject, with their
     #: standard deviations [rad]; 0 and `OFFSET_SIGMA` for others.
     bearing_offsets: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    #: Systematic errors of the ranges of a robot's camera, by subject: offset [m], and error per
+    #: metre; 0 for others.
+    range_errors: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     thin: float = 1.0  #: Minimum time [s] between two observations of one subject by one robot
     #: Factor on the standard deviations of observations, for errors that persist among these
     correlation_factor: float = 1.5
@@ -150,6 +153,8 @@ def observations(
     kept = _thinned(rows, round(options.thin * NS))
     counts['observation thinned'] += int((~kept).sum())
     used = rows[kept]
+    offset, per_metre = options.range_errors.get(robot, (0.0, 0.0))
+    used.rows[:, 1] = (used.rows[:, 1] - offset) / (1.0 + per_metre)
     used.rows[:, 2] -= bearing_offset(robot, options)[0]
     return used
 

@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
-from fej_slam_ros.core.calibration.from_truth import DOF, noise_scales, normalized_errors
+from fej_slam_ros.core.calibration.from_truth import (
+    DOF, noise_scale, noise_scales, normalized_errors)
 from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
 from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.core.records import NS, Odometry, TruePose
@@ -17,8 +18,8 @@ from fej_slam_ros.datasets.mrclam.conversion import (
     STANDSTILL_VARIANCE, sums_between)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
 from fej_slam_ros.datasets.mrclam.observation_errors import (
-    bearing_offsets, observation_errors, ObservationErrors, rms, sigmas, true_poses,
-    without_offsets)
+    bearing_offsets, observation_errors, ObservationErrors, range_errors, rms, sigmas, true_poses,
+    without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.run_settings import settings, TRUTH_SIGMA
 
 #: Minimum number of windows for the growth of errors, and of observations of a kind, for an
@@ -63,10 +64,10 @@ def is_measurable(data: MrclamSet) -> bool:
 
 def measured_options(
     data: MrclamSet, motion_delay: float | None = None,
-    odometry_scale: tuple[float, float] | None = None,
+    odometry_scale: tuple[float, float] | None = None, thin: float = ConversionOptions.thin,
 ) -> ConversionOptions:
     """Return the options with measured delay and scale, unless given, and the remaining noise."""
-    options = ConversionOptions(odometry_scale=(1.0, 1.0))
+    options = ConversionOptions(odometry_scale=(1.0, 1.0), thin=thin)
     if motion_delay is None:
         motion_delay = _delay(data, options)
     options = replace(options, motion_delay=motion_delay)
@@ -80,12 +81,13 @@ def measured_options(
         windows, seconds = increments(data, options, GROWTH_WINDOW), GROWTH_WINDOW
     heading = _growth(windows, 2, seconds, usual.heading)
     noise = replace(options.noise, position=position, heading=heading)
-    return _with_observation_noise(replace(options, noise=noise), *observation_errors(data))
+    options = _with_observation_noise(replace(options, noise=noise), *observation_errors(data))
+    return replace(options, correlation_factor=_correlation_factor(data, options))
 
 
 def best_options(
     data: MrclamSet, motion_delay: float | None = None,
-    odometry_scale: tuple[float, float] | None = None,
+    odometry_scale: tuple[float, float] | None = None, thin: float = ConversionOptions.thin,
 ) -> ConversionOptions:
     """
     Return the options as given, else as measured, else the defaults.
@@ -95,8 +97,8 @@ def best_options(
 
     """
     if is_measurable(data):
-        return measured_options(data, motion_delay, odometry_scale)
-    options = ConversionOptions()
+        return measured_options(data, motion_delay, odometry_scale, thin)
+    options = ConversionOptions(thin=thin)
     if motion_delay is not None:
         options = replace(options, motion_delay=motion_delay)
     options = replace(options, odometry_scale=odometry_scale or options.odometry_scale)
@@ -106,23 +108,42 @@ def best_options(
         options.noise, position=_scaled(options.noise.position, factor),
         heading=_scaled(options.noise.heading, factor))
     return _with_observation_noise(
-        replace(options, noise=noise), *observation_errors(data, options), noise.bearing)
+        replace(options, noise=noise), *observation_errors(data, options), noise.range,
+        noise.bearing)
 
 
 def _with_observation_noise(
     options: ConversionOptions, landmarks: ObservationErrors, robots: ObservationErrors,
-    least_sigma: float = 0.0,
+    least_range_sigma: float = 0.0, least_bearing_sigma: float = 0.0,
 ) -> ConversionOptions:
-    """Return options with the angles of cameras, and the noise of observations if it is known."""
-    offsets, noise = bearing_offsets(landmarks, least_sigma), options.noise
-    landmarks, robots = without_offsets(landmarks, offsets), without_offsets(robots, offsets)
+    """Return options with the errors of cameras, and the noise of observations if it is known."""
+    of_bearings = bearing_offsets(landmarks, least_bearing_sigma)
+    of_ranges = range_errors(landmarks, least_range_sigma)
+    landmarks = without_systematic_errors(landmarks, of_bearings, of_ranges)
+    robots = without_systematic_errors(robots, of_bearings, of_ranges)
+    noise = options.noise
     if (~landmarks.outliers()).sum() >= MIN_OBSERVATIONS:
         r, beta = sigmas(landmarks)
         noise = replace(noise, range=r, bearing=beta)
     if (~robots.outliers()).sum() >= MIN_OBSERVATIONS:
         r, beta = sigmas(robots)
         noise = replace(noise, robot_range=r, robot_bearing=beta)
-    return replace(options, noise=noise, bearing_offsets=offsets)
+    return replace(options, noise=noise, bearing_offsets=of_bearings, range_errors=of_ranges)
+
+
+def _correlation_factor(data: MrclamSet, options: ConversionOptions) -> float:
+    """Return the factor of the observations' noise over windows in which errors persist."""
+    single = replace(options, correlation_factor=1.0)
+    observed = [
+        record for record in records(data, single, defaultdict(Counter))
+        if not isinstance(record, Odometry)]
+    errors = normalized_errors(observed, settings(data, single))
+    squared = [
+        d2 for by_robot in errors.values() for of_robot in by_robot.values() for d2 in of_robot]
+    if not squared:
+        return options.correlation_factor
+    found = noise_scale(squared, DOF['landmark'])
+    return max(found.scale, 1.0) if found.is_known() else options.correlation_factor
 
 
 def own_turns(data: MrclamSet, options: ConversionOptions) -> dict[int, tuple[float, float]]:
@@ -183,7 +204,9 @@ def _increments(
     log: RobotLog, options: ConversionOptions, window: float
 ) -> tuple[Array, Array, Array]:
     stamps, poses = odometry(log, options)
-    edges = np.arange(stamps[0], stamps[-1], round(window * NS))
+    # Edges, and with them the noise of commands, are the same for any delay that is searched.
+    first = max(stamps[0], log.commands.stamps[0] + round(MAX_MOTION_DELAY * NS))
+    edges = np.arange(first, stamps[-1], round(window * NS))
     dt = np.diff(stamps)[:, None]
     amounts = np.hstack([np.abs(log.commands.rows[:-1]) * dt / NS, dt > MAX_COMMAND_HOLD])
     commanded = sums_between(edges, stamps, amounts)
@@ -206,7 +229,7 @@ def _delay(data: MrclamSet, options: ConversionOptions) -> float:
     """Return the delay [s] with which the commands fit the turns of the robots best."""
     def error(delay: float) -> float:
         windows = increments(data, replace(options, motion_delay=delay), DELAY_WINDOW)
-        return rms(windows.errors()[:, 2])
+        return rms(windows.true[:, 2] - _ratio(windows, 2) * windows.measured[:, 2])
 
     return float(minimize_scalar(error, bounds=(0.0, MAX_MOTION_DELAY), options={'xatol': 1e-3}).x)
 

@@ -29,8 +29,10 @@ NEAR_TRUTH = NS // 4
 OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
 #: Lower bound of estimated sigmas, the resolution of the files: ranges in mm, bearings in mrad.
 MIN_SIGMA = 1e-3
-#: Time [s] over which bearing errors of a robot stay about the same.
+#: Time [s] over which errors of a robot's camera stay about the same.
 OFFSET_WINDOW = 60.0
+#: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
+RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
 #: Lags [s] between which errors of one robot and one subject are correlated.
 LAGS = ((0.0, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0))
 
@@ -118,12 +120,47 @@ def bearing_offsets(
     return offsets
 
 
-def without_offsets(
-    errors: ObservationErrors, offsets: Mapping[int, tuple[float, float]]
+def range_errors(
+    errors: ObservationErrors, least_sigma: float = 0.0
+) -> dict[int, tuple[float, float]]:
+    """
+    Return the systematic errors of each robot's ranges: offset [m], and error per metre.
+
+    Least squares over errors per metre of range, with the prior `RANGE_ERROR_SIGMA`. Their
+    variance is that of sums over `OFFSET_WINDOW`, in which they are correlated, and at least a
+    sigma where their spread is not well known.
+
+    """
+    inliers, found = errors.where(~errors.outliers()), {}
+    for robot in np.unique(inliers.observers).astype(int).tolist():
+        own = inliers.where(inliers.observers == robot)
+        A = np.column_stack([1.0 / own.true_ranges, np.ones(len(own.ranges))])
+        b = own.ranges / own.true_ranges
+        residuals = b - A @ np.linalg.lstsq(A, b)[0]
+        _, windows = np.unique(own.seconds // OFFSET_WINDOW, return_inverse=True)
+        sums = np.bincount(windows, residuals)
+        if len(sums) > 2:
+            # Two unknowns are fitted.
+            variance = float(np.square(sums).sum()) / len(b) * len(sums) / (len(sums) - 2)
+            variance = max(variance, least_sigma ** 2, MIN_SIGMA ** 2)
+            N = A.T @ A / variance + np.diag(RANGE_ERROR_SIGMA ** -2)
+            offset, per_metre = np.linalg.solve(N, A.T @ b / variance).tolist()
+            found[robot] = offset, per_metre
+    return found
+
+
+def without_systematic_errors(
+    errors: ObservationErrors, of_bearings: Mapping[int, tuple[float, float]],
+    of_ranges: Mapping[int, tuple[float, float]],
 ) -> ObservationErrors:
-    """Return the errors without the offsets of bearings by robot."""
-    own = np.array([offsets.get(int(robot), (0.0, 0.0))[0] for robot in errors.observers])
-    return replace(errors, bearings=errors.bearings - own)
+    """Return the errors that remain without the `bearing_offsets` and `range_errors` by robot."""
+    bearings, ranges = errors.bearings.copy(), errors.ranges.copy()
+    for robot, (offset, _) in of_bearings.items():
+        bearings[errors.observers == robot] -= offset
+    for robot, (offset, per_metre) in of_ranges.items():
+        own = errors.observers == robot
+        ranges[own] -= offset + per_metre * errors.true_ranges[own]
+    return replace(errors, bearings=bearings, ranges=ranges)
 
 
 def observation_noise(errors: ObservationErrors) -> ObservationNoise:

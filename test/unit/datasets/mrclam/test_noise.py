@@ -35,7 +35,7 @@ def synthetic(tmp_path_factory):
 
 def synthetic_set(
         folder, own_turns=(0.0, 0.0), truth_seconds=0.0, turn_rate=0.5, held=1, speed=0.1,
-        heading=(0.0, HEADING), seconds=SECONDS, seed=1):
+        heading=(0.0, HEADING), seconds=SECONDS, seed=1, tau=0.0):
     """Write and read a set whose robot also turns by itself, with few true poses on request."""
     rng = np.random.default_rng(seed)
     stamps = 100.0 + np.arange(RATE * seconds) / RATE
@@ -52,17 +52,25 @@ def synthetic_set(
     return read(write_set(folder, {
         'Robot1_Odometry': [(t, *command) for t, command in zip(stamps, commands)],
         'Robot1_Groundtruth': truth,
-        'Robot1_Measurement': list(observations(stamps + DELAY, poses, rng))}))
+        'Robot1_Measurement': list(observations(stamps + DELAY, poses, rng, tau))}))
 
 
-def observations(stamps, poses, rng):
+def correlation(seconds, tau):
+    """Return the correlation of errors with a time constant [s]; 0: independent."""
+    return math.exp(-seconds / tau) if tau else 0.0
+
+
+def observations(stamps, poses, rng, tau):
     """Yield observations of landmarks 8, 17 and 18 twice a second; every 100th is an outlier."""
     codes = {8: 7, 17: 16, 18: 9}
+    rho, errors = correlation(1.5, tau), {}
     for k in range(50, len(stamps), RATE // 2):
         subject, *point = LANDMARKS[k % 3][:3]
         dx, dy = np.subtract(point, poses[k, :2])
-        r = math.hypot(dx, dy) * (1 + rng.normal(0.0, RANGE))
-        beta = math.atan2(dy, dx) - poses[k, 2] + rng.normal(0.0, BEARING)
+        new = rng.normal(0.0, (RANGE, BEARING))
+        e = errors[subject] = rho * errors.get(subject, new) + math.sqrt(1.0 - rho ** 2) * new
+        r = math.hypot(dx, dy) * (1 + e[0])
+        beta = math.atan2(dy, dx) - poses[k, 2] + e[1]
         wrong = 2.0 if k % (50 * RATE) == 0 else 0.0
         yield f'{stamps[k]:.3f}', codes[subject], r + wrong, math.remainder(beta, math.tau)
 
@@ -72,6 +80,16 @@ def test_delay_and_scale_are_measured(synthetic):
 
     assert measured.motion_delay == pytest.approx(DELAY, abs=0.01)
     assert measured.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_the_delay_is_measured_with_the_noise_of_set_6(tmp_path, seed):
+    # Variances per metre and per radian of docs/data.md.
+    noisy = synthetic_set(tmp_path, heading=(0.0060, 0.0068), held=2, seed=seed)
+
+    # Turn rates change by 0.4 rad/s in 450 places, noise is 0.02 rad in each window of 0.2 s:
+    # 0.02 / 0.4 / sqrt(450) is 0.0024 s, and this is four times as much.
+    assert measured_options(noisy).motion_delay == pytest.approx(DELAY, abs=0.01)
 
 
 def test_the_scale_of_turns_is_measured_on_robots_that_turn_around(tmp_path):
@@ -157,6 +175,25 @@ def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
     np.testing.assert_allclose(used, before - offset, rtol=0.0, atol=1e-12)
 
 
+@pytest.mark.parametrize(('offset', 'per_metre'), [(0.08, 0.0), (0.0, -0.03), (0.06, -0.03)])
+@pytest.mark.parametrize('truth_seconds', [0.0, 2.0])
+def test_systematic_errors_of_ranges_are_measured_and_removed(
+        tmp_path, truth_seconds, offset, per_metre):
+    data = synthetic_set(tmp_path, truth_seconds=truth_seconds)
+    log = data.logs[1]
+    rows = log.observations.rows * [1.0, 1.0 + per_metre, 1.0] + [0.0, offset, 0.0]
+    wrong = replace(log, observations=replace(log.observations, rows=rows))
+    data = replace(data, logs={1: wrong})
+
+    options = best_options(data, DELAY, SCALE)
+
+    used = observations_used(data, 1, replace(options, thin=0.0), Counter())
+    right = log.observations[np.isin(log.observations.stamps, used.stamps)].rows[:, 1]
+    # Ranges of 1 to 6 m, wrong by up to 8 %: 450 or more errors of 0.02 determine them to 0.002.
+    assert np.abs(used.rows[:, 1] / right - 1.0).max() < 0.01
+    assert options.noise.range == pytest.approx(RANGE, rel=0.15)
+
+
 def test_with_sparse_true_poses_the_angle_of_a_camera_and_the_noise_are_measured(tmp_path):
     sparse = synthetic_set(tmp_path / 'set', truth_seconds=4.0)
     log = sparse.logs[1]
@@ -177,6 +214,24 @@ def test_with_sparse_true_poses_the_angle_of_a_camera_and_the_noise_are_measured
     assert factor == pytest.approx(HEADING / Noise().heading[1], rel=0.5)
     assert options.noise.position == pytest.approx(
         [factor * variance for variance in Noise().position])
+
+
+@pytest.mark.parametrize('tau', [0.0, 6.0])
+def test_the_factor_for_errors_that_persist_is_measured(tmp_path, tau):
+    data = synthetic_set(tmp_path, tau=tau)
+
+    # A landmark is observed every 1.5 s, four times in a window of 5 s.
+    rho = correlation(1.5, tau)
+    expected = math.sqrt((4 + 2 * (3 * rho + 2 * rho ** 2 + rho ** 3)) / 4)
+    # 450 windows of two errors, of which those of 6 s or more are independent: 2 to 5 %.
+    assert measured_options(data).correlation_factor == pytest.approx(expected, rel=0.1)
+
+
+def test_with_few_observations_the_factor_is_the_default(synthetic):
+    log = synthetic.logs[1]
+    few = replace(synthetic, logs={1: replace(log, observations=log.observations[:20])})
+
+    assert measured_options(few).correlation_factor == ConversionOptions().correlation_factor
 
 
 def test_exact_observations_have_the_resolution_of_the_files(tmp_path):
