@@ -55,6 +55,17 @@ def test_a_sensor_that_falls_silent_is_a_warning(tmp_path):
         domain.until(lambda: 'its scans have stopped' in reports[-1].status[0].message)
 
 
+def test_scans_of_another_type_are_named():
+    with live_helpers.Domain() as domain:
+        domain.start('detector', '--ros-args', '-p', 'robots:=[r1]')
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+        domain.node.create_publisher(live_helpers.message_class(CLOUD), 'r1/scan', 1)
+
+        domain.until(lambda: reports and reports[-1].status[0].message == (
+            '/r1/scan is published as sensor_msgs/msg/PointCloud2, this node needs'
+            ' sensor_msgs/msg/LaserScan'))
+
+
 class EndlessFrontEnd:
     """A front end that always has something to publish."""
 

@@ -162,11 +162,20 @@ class FrontEndNode(ParameterNode):
                 log_writer.write(self.get_logger(), [LogLine(severity, f'{robot}: {warning}')])
 
     def _problem_of(self, robot: str, incompatible: Iterable[IncompatibleQos]) -> str:
-        """Return an incompatible quality of service of a robot's topics, '' if there is none."""
+        """Return what keeps messages on a robot's topics from arriving, '' if nothing does."""
         topics = {
-            self.resolve_topic_name(topic) for topic in self._front_end.topics
+            self.resolve_topic_name(topic): type_name
+            for topic, type_name in self._front_end.topics.items()
             if topic.startswith(f'{robot}/')}
-        return next((str(qos) for qos in incompatible if qos.topic in topics), '')
+        problems = chain(
+            (str(qos) for qos in incompatible if qos.topic in topics),
+            (self._other_type(topic, type_name) for topic, type_name in topics.items()))
+        return next(filter(None, problems), '')
+
+    def _other_type(self, topic: str, type_name: str) -> str:
+        published = {found.topic_type for found in self.get_publishers_info_by_topic(topic)}
+        others = ', '.join(sorted(published - {type_name}))
+        return f'{topic} is published as {others}, this node needs {type_name}' if others else ''
 
     def _silence(self, robot: str, values: Mapping[str, int]) -> str:
         """Return that no scan of a robot can be used any more, '' if some came lately."""
