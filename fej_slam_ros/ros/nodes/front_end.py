@@ -130,7 +130,8 @@ class FrontEndNode(ParameterNode):
             qos_overriding_options=overridable())
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
-        received = self.get_clock().now().nanoseconds
+        # It is 0 while simulated time has not begun.
+        received = self.get_clock().now().nanoseconds or None
         self._front_end.receive(RawMessage(topic, type_name, received, raw))
         self.received += 1
 

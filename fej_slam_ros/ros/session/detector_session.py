@@ -22,7 +22,7 @@ from fej_slam_ros.ros.messages import (
     decoded_as, incoming, laser, markers, Message, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
-from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
+from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps, MAX_SENSORS
 from fej_slam_ros.ros.session.front_end import RobotCounts
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY
 from fej_slam_ros.ros.session.outputs import (
@@ -54,8 +54,8 @@ class _RobotDetector:
         self.faults: Counter[ScanFault] = Counter()
         self.rejected_odometry: Counter[RejectionReason] = Counter()
         self.odometry = self.landmarks = 0
-        #: frame of the laser whose place on the robot is not known, '' if it is
-        self.unknown_frame = ''
+        #: frames of lasers whose places on the robot are not known
+        self.unknown_frames: set[str] = set()
         self.has_frame = True  #: whether the latest scan names its frame
         self.stamps = DistinctStamps()
         self.timing = ScanTiming()
@@ -197,7 +197,11 @@ class DetectorSession:
     ) -> tuple[LaserScan, Array, str]:
         """Return a scan as of an upright laser, its pose (3,), and the frame to publish in."""
         pose = self._frames.pose(name, frame)
-        self._detectors[name].unknown_frame = frame if pose is None else ''
+        unknown = self._detectors[name].unknown_frames
+        if pose is not None:
+            unknown.discard(frame)
+        elif len(unknown) < MAX_SENSORS:
+            unknown.add(frame)
         if pose is None:
             return scan, np.zeros(3), frame
         base = self._frames.base(name)
@@ -261,11 +265,11 @@ def _conditions_of_use(name: str, state: _RobotDetector) -> Iterator[Condition]:
 
 
 def _conditions_of_place(state: _RobotDetector) -> Iterator[Condition]:
-    if state.unknown_frame:
+    if state.unknown_frames:
         yield Condition(
             'laser_frame',
-            f'no static transform from the frame {state.unknown_frame!r} of the scans to the base'
-            ' frame',
+            f'no static transform from the frame {min(state.unknown_frames)!r} of the scans to the'
+            ' base frame',
             'publish it on /tf_static, or give the estimator sensor_frame and sensor_pose')
     if not state.has_frame:
         yield Condition(

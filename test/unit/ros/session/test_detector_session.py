@@ -81,6 +81,18 @@ def test_landmarks_of_a_laser_at_an_unknown_place_are_in_its_frame_and_the_cure_
     assert '/tf_static' in warning
 
 
+def test_one_of_two_lasers_at_an_unknown_place_is_named():
+    session = session_of()
+    front = mounts(('r1/base_link', 'r1/front', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+
+    run(
+        session, front, raw('r1/odom', odometry_message(0)), scan_message(0, 'r1/rear'),
+        scan_message(5, 'r1/front'))
+
+    (_, warning, _), = session.counts()
+    assert warning.startswith("no static transform from the frame 'r1/rear'")
+
+
 @pytest.mark.parametrize(
     ('messages', 'count', 'warning'),
     [
