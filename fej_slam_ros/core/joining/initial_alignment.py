@@ -15,6 +15,7 @@ from itertools import combinations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
+from scipy.special import chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.linearization import Points, Poses
@@ -37,10 +38,12 @@ MAX_STEP0_ITERATIONS = 100
 MIN_DECREASE = 1e-22
 #: Smallest increment of a coordinate that rounding allows, relative to the coordinate.
 RELATIVE_PRECISION = 16 * float(np.finfo(float).eps)
+#: Tail probability of the cost beyond which some observations are wrong.
+CONTRADICTION_PROBABILITY = 1e-9
 
 
 class InitialAlignmentError(ArithmeticError):
-    """The observations of step 0 do not determine the unknowns."""
+    """The observations of step 0 do not determine the unknowns, or contradict each other."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +96,8 @@ def align(
     Raises
     ------
     InitialAlignmentError
-        If the normal matrix is singular or the iteration does not converge.
+        If the normal matrix is singular, the iteration does not converge, or the cost is one that
+        correct observations have in one of 10^9 cases.
 
     """
     problem = _Problem(prior, guess, guess_points, scans, tolerance)
@@ -103,6 +107,8 @@ def align(
             problem, (start, np.zeros(len(prior.P))), MAX_STEP0_ITERATIONS)
     except ConvergenceError as error:
         raise InitialAlignmentError(f'step 0: {error}') from None
+    if problem.dof and last.cost > chdtri(problem.dof, CONTRADICTION_PROBABILITY):
+        raise InitialAlignmentError('the observations of step 0 contradict each other')
     x_lin = problem.stacked(*linearized_at(*problem.unstacked(last.x)))
     return InitialAlignment(
         *problem.unstacked(x), problem.covariance(problem.linearize((x_lin, xi))))
@@ -158,6 +164,8 @@ class _Problem:
             for name in names for key, observation in scans.get(name, ())
             if key in self._point_at]
         self._tolerance = tolerance
+        #: Number of measurements in excess of the unknowns
+        self.dof = 2 * len(self._observations) - 3 * len(poses) - 2 * len(points)
         # T with dx_joint = T [xi, new poses, new points].
         dimension, n = 3 * len(names) + 2 * len(keys), len(prior.P)
         known = np.zeros(dimension, dtype=bool)

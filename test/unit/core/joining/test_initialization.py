@@ -49,6 +49,13 @@ def look(stamp=0, **numbers):
         for name, some in numbers.items()]
 
 
+def with_gross_error(scan):
+    """Return a scan whose first landmark is 8 m off."""
+    wrong, *rest = scan.observations
+    return replace(
+        scan, observations=(replace(wrong, z=np.add(wrong.z, [8.0, 0.0])), *rest))
+
+
 def assert_in_place(estimator, *robots):
     """Check that robots stand in ``map`` where they stand, to the last step of the iteration."""
     state = estimator.groups.team.state
@@ -123,6 +130,30 @@ def test_a_known_start_is_a_prior():
     assert_allclose(state.estimate(robot), [11.0 / 3.0, 0.0, 0.0], atol=1e-14)
     expected = np.diag([2.0 / 3.0, 2.0 / 3.0, 0.0])
     assert_allclose(state.marginal([robot]), expected, atol=1e-14)
+
+
+def test_a_gross_error_at_step_0_moves_no_robot_whose_start_is_known():
+    known = RobotSettings('r2', 2, tuple(POSES['r2']), (0.1, 0.1, 0.05))
+    first, second = look(r1=[0, 1, 2], r2=[0, 1, 2])
+    later = [scan for k in (1, 2) for scan in look(k * SECOND, r1=[0, 1, 2], r2=[0, 1, 2])]
+
+    records = [
+        *still(['r1', 'r2'], [0, SECOND, 2 * SECOND]), first, with_gross_error(second), *later]
+    estimator, _ = estimate(records, ('r1', known))
+
+    state = estimator.groups.team.state
+    # All other observations are exact; a wrong one would move it by meters.
+    assert_allclose(state.estimate(state.robots['r2']), POSES['r2'], atol=1e-3)
+    for landmark in state.landmarks.values():
+        assert_allclose(state.estimate(landmark), LANDMARKS[landmark.key[1]], atol=1e-3)
+
+
+def test_a_gross_error_at_step_0_places_no_robot_whose_start_is_unknown():
+    first, second = look(r1=[0, 1, 2, 3], r2=[0, 1, 2, 3])
+
+    estimator, _ = estimate([*still(['r1', 'r2']), first, with_gross_error(second)])
+
+    assert 'r2' not in estimator.groups.team.robots
 
 
 def test_observations_of_step_0_are_used_once():
