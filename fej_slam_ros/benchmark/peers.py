@@ -21,10 +21,10 @@ from fej_slam_ros.benchmark.machine import Times
 from fej_slam_ros.benchmark.synthetic_drive import (
     drive, fej_filter, Measurements, range_bearing, RobotEstimates, START_P, SyntheticDrive)
 from fej_slam_ros.benchmark.textbook import Textbook
+from fej_slam_ros.core.consistency import root_mean_square
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Motion, Scan
-from fej_slam_ros.experiments.liu.metrics import root_mean_square
 
 PEER_LANDMARKS = 100, 300, 1000
 #: Motion of a robot in a step [m], and number of landmarks that it observes.

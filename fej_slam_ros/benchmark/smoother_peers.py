@@ -16,10 +16,10 @@ import numpy as np
 from fej_slam_ros.benchmark.machine import Times
 from fej_slam_ros.benchmark.peers import Peer, run_race
 from fej_slam_ros.benchmark.synthetic_drive import drive, DRIVE_ROBOTS, RobotEstimates
+from fej_slam_ros.core.consistency import root_mean_square
 from fej_slam_ros.core.geometry import Array, compose
 from fej_slam_ros.core.records import Motion, Scan
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-from fej_slam_ros.experiments.liu.metrics import root_mean_square
 
 GROWTH_LANDMARKS, GROWTH_OBSERVATIONS, GROWTH_STRIDE = 100, 5, 1.0
 #: Windows into which the poses of a run are divided.

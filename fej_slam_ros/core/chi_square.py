@@ -16,6 +16,12 @@ def chi_square_band(dof: float, probability: float) -> tuple[float, float]:
     return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
 
 
+def band_per_dof(dof: float, probability: float = 0.95) -> tuple[float, float]:
+    """Return the band of a consistent filter's mean NEES/dof or NIS/dof; dof in all."""
+    low, high = chi_square_band(dof, probability)
+    return low / dof, high / dof
+
+
 def chi_square_quantile(dof: int, probability: float) -> float:
     """Return the quantile of this probability, with dof degrees of freedom."""
     return 2.0 * float(gammaincinv(dof / 2, probability))

@@ -5,10 +5,11 @@
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+import math
 
 import numpy as np
 
-from fej_slam_ros.core.chi_square import chi_square_band
+from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.definiteness import are_definite
 from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
@@ -53,6 +54,11 @@ def pose_error(estimate: Array, truth: Array) -> Array:
     return error
 
 
+def root_mean_square(errors: Array) -> float:
+    """Return sqrt(mean |e|^2) over errors (k, d), NaN for no errors."""
+    return math.sqrt(np.mean(np.sum(errors**2, axis=1))) if len(errors) else math.nan
+
+
 @dataclass(eq=False)
 class NisMonitor:
     """Normalised innovations squared (NIS) of one robot's observations."""
@@ -80,8 +86,7 @@ class NisMonitor:
     def band(self) -> tuple[float, float]:
         """Return the interval in which the ratio of a consistent filter lies."""
         dof = 2 * len(self._latest)
-        low, high = chi_square_band(dof, NIS_PROBABILITY) if dof else (0.0, 0.0)
-        return low / max(dof, 1), high / max(dof, 1)
+        return band_per_dof(dof, NIS_PROBABILITY) if dof else (0.0, 0.0)
 
 
 def total_nis_per_dof(monitors: Iterable[NisMonitor]) -> float:

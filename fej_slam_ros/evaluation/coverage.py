@@ -15,14 +15,12 @@ from typing import Any
 import numpy as np
 from scipy.special import chdtr, erf
 
-from fej_slam_ros.core.chi_square import chi_square_band
+from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.consistency import nees_per_dof, pose_error
 from fej_slam_ros.core.definiteness import are_definite
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
-#: Probability of the bands of mean NEES and NIS.
-BAND_PROBABILITY = 0.95
 #: Probabilities of the confidence regions whose coverage is reported.
 REGIONS = {
     **{f'{k}_sigma': float(erf(k / np.sqrt(2.0))) for k in (1, 2, 3)}, '95_percent': 0.95}
@@ -78,12 +76,6 @@ def pooled(robots: Iterable[ConsistencyStatistics]) -> ConsistencyStatistics:
     return ConsistencyStatistics(
         np.concatenate([np.empty(0), *(s.values for s in statistics)]), 3,
         sum(s.independent or 0.0 for s in statistics))
-
-
-def band_per_dof(dof: float) -> tuple[float, float]:
-    """Return the chi-square band of a consistent filter, divided by its degrees of freedom."""
-    low, high = chi_square_band(dof, BAND_PROBABILITY)
-    return low / dof, high / dof
 
 
 def independent_samples(values: Array) -> float:

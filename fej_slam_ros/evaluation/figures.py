@@ -11,10 +11,10 @@ from matplotlib.patches import Ellipse
 import numpy as np
 from scipy.special import chdtr
 
+from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.geometry import Array, ellipse
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.evaluation.coverage import band_per_dof
 from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
 from fej_slam_ros.figure_files import save
 from fej_slam_ros.palette import line_style

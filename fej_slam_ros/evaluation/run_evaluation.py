@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.geometry import Array, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.errors import UserError
@@ -111,7 +112,7 @@ class RunEvaluation:
             return None
         return {
             'mean': sum(nis.total for nis in sums) / dof, 'dof': dof,
-            'band': coverage.band_per_dof(dof)}
+            'band': band_per_dof(dof)}
 
     def _landmarks(self) -> dict[str, Any]:
         landmarks = self.result.landmarks

@@ -9,9 +9,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 
+from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.experiments.common.drawing import FILTER_STYLES, scale_by_logarithm
 from fej_slam_ros.experiments.liu.configurations import Configuration, TABLE_FILTERS
-from fej_slam_ros.experiments.liu.metrics import error_curves, ErrorCurves, nees_band
+from fej_slam_ros.experiments.liu.metrics import error_curves, ErrorCurves
 from fej_slam_ros.experiments.liu.monte_carlo import Errors
 from fej_slam_ros.figure_files import save
 from fej_slam_ros.sim.world import World
@@ -63,7 +64,8 @@ def draw_errors(
         for name, of_robots in curves.items():
             _draw_curves(column, TABLE_FILTERS[name], of_robots[robot], last)
         column[0].axhspan(
-            *nees_band(runs), color='#2a8a3e', alpha=0.3, label='95 % of consistent filters')
+            *band_per_dof(3 * runs), color='#2a8a3e', alpha=0.3,
+            label='95 % of consistent filters')
         column[0].set_title(robot)
         scale_by_logarithm(column[0])
         for axes in column:

@@ -14,7 +14,6 @@ import math
 import numpy as np
 from scipy.special import stdtrit
 
-from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.experiments.liu.configurations import EntryRange, TABLE_ENTRIES
 from fej_slam_ros.experiments.liu.monte_carlo import Errors
@@ -92,17 +91,6 @@ def error_curves(errors: Errors) -> dict[str, ErrorCurves]:
     return {
         name: ErrorCurves(nees, np.sqrt(position), np.sqrt(heading))
         for name, (position, heading, nees) in means.items()}
-
-
-def root_mean_square(errors: Array) -> float:
-    """Return sqrt(mean |e|^2) over errors (k, d), NaN for no errors."""
-    return math.sqrt(np.mean(np.sum(errors**2, axis=1))) if len(errors) else math.nan
-
-
-def nees_band(runs: int, probability: float = 0.95) -> tuple[float, float]:
-    """Return the bounds of a consistent filter's mean NEES/3 over runs at a step."""
-    low, high = chi_square_band(3 * runs, probability)
-    return low / (3 * runs), high / (3 * runs)
 
 
 def _weighted(errors: Errors, weights: Array) -> dict[str, Array]:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import pose_error
+from fej_slam_ros.core.consistency import pose_error, root_mean_square
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.joining.initial_alignment import closed_form, InitialAlignmentError
@@ -28,7 +28,6 @@ from fej_slam_ros.datasets.liu.batch_solution import XGni
 from fej_slam_ros.datasets.victoria_park import associated_log as park
 from fej_slam_ros.datasets.victoria_park.associated_log import AssociatedLog, CarTeam
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.experiments.liu.metrics import root_mean_square
 
 #: Names in files, with their titles.
 PARK_FILTERS = {'standard': 'standard', 'fej': 'FEJ', 'invariant': 'invariant', 'ideal': 'ideal'}

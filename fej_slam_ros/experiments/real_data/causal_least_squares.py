@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fej_slam_ros.core.consistency import root_mean_square
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.estimator import Estimator
@@ -21,7 +22,6 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS, Record, TrueLandmarks
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.experiments.liu.metrics import root_mean_square
 
 #: Time between two solutions [ns].
 PERIOD = 60 * NS

@@ -16,7 +16,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import nees_per_dof, pose_error, total_nis_per_dof
+from fej_slam_ros.core.consistency import (
+    nees_per_dof, pose_error, root_mean_square, total_nis_per_dof)
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
@@ -31,7 +32,6 @@ from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.noise import best_options
 from fej_slam_ros.datasets.mrclam.series import Series
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.experiments.liu.metrics import root_mean_square
 from fej_slam_ros.experiments.real_data.causal_least_squares import (
     causal_least_squares, CausalErrors)
 from fej_slam_ros.tables import markdown_table

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from math import inf, isfinite
 
-from fej_slam_ros.core.chi_square import chi_square_band
+from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.ros.messages import Message
 
 #: Topic with NIS and NEES of all robots, in their order, and their probability bands.
@@ -103,8 +103,8 @@ def _nees(values: Values) -> dict[str, float]:
     nees = _finite({'nees': values.get('nees_latest', '')})
     if not nees:
         return {}
-    low, high = chi_square_band(POSE_DOF, NEES_PROBABILITY)
-    return {**nees, 'nees_low': low / POSE_DOF, 'nees_high': high / POSE_DOF}
+    low, high = band_per_dof(POSE_DOF, NEES_PROBABILITY)
+    return {**nees, 'nees_low': low, 'nees_high': high}
 
 
 def _finite(texts: Mapping[str, str]) -> dict[str, float]:

@@ -2,10 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quantiles and bands of chi-square against scipy.stats."""
 
+import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fej_slam_ros.core.chi_square import chi_square_band, chi_square_quantile
+from fej_slam_ros.core.chi_square import band_per_dof, chi_square_band, chi_square_quantile
 
 DOFS = (1, 2, 3, 30, 401, 5000)
 # Two implementations of the inverse of the same incomplete gamma function.
@@ -22,3 +23,16 @@ def test_a_quantile_is_that_of_scipy_stats(dof, probability):
 @pytest.mark.parametrize('dof', DOFS)
 def test_a_band_leaves_equal_probabilities_on_both_sides(dof):
     assert chi_square_band(dof, 0.95) == pytest.approx(chi2.interval(0.95, dof), rel=ROUNDING)
+
+
+@pytest.mark.parametrize(('runs', 'probability'), [(100, 0.95), (1, 0.95), (30, 0.5)])
+def test_a_band_per_degree_of_freedom_holds_the_mean_nees_of_consistent_runs(runs, probability):
+    rng = np.random.default_rng(1)
+    means = rng.chisquare(3, (20_000, runs)).mean(axis=1) / 3
+
+    low, high = band_per_dof(3 * runs, probability)
+
+    tail = (1.0 - probability) / 2.0
+    sd = np.sqrt(tail * (1.0 - tail) / 20_000)  # of a share of the draws
+    assert np.mean(means < low) == pytest.approx(tail, abs=4.0 * sd)
+    assert np.mean(means > high) == pytest.approx(tail, abs=4.0 * sd)

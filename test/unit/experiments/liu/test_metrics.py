@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import binom
 
 from fej_slam_ros.experiments.liu.metrics import (
-    entries, entries_of_each, entries_of_run, error_curves, nees_band, ranges, sample_mean)
+    entries, entries_of_each, entries_of_run, error_curves, ranges, sample_mean)
 from fej_slam_ros.experiments.liu.monte_carlo import Errors, stack
 
 RUNS, STEPS, LANDMARKS = 4, 5, 3
@@ -125,19 +125,6 @@ def test_ranges_depend_on_the_generator():
 
     assert first == again
     assert all(first[name] != other[name] for name in NAMES)
-
-
-@pytest.mark.parametrize(('runs', 'probability'), [(100, 0.95), (1, 0.95), (30, 0.5)])
-def test_the_nees_band_holds_means_over_runs_of_a_consistent_filter(runs, probability):
-    rng = np.random.default_rng(1)
-    means = rng.chisquare(3, (20_000, runs)).mean(axis=1) / 3
-
-    low, high = nees_band(runs, probability)
-
-    tail = (1.0 - probability) / 2.0
-    sd = sqrt(tail * (1.0 - tail) / 20_000)  # of a share of the draws
-    assert np.mean(means < low) == pytest.approx(tail, abs=4.0 * sd)
-    assert np.mean(means > high) == pytest.approx(tail, abs=4.0 * sd)
 
 
 def test_error_curves_are_the_metrics_step_by_step():
