@@ -136,7 +136,7 @@ def observations(
 ) -> Series:
     """Return a robot's observations that are used; the others are counted by reason."""
     log = data.logs[robot]
-    rows = log.observations
+    rows = _corrected(log.observations, robot, options)
     begin, end = odometry_stamps(log, options)[[0, -1]]
     robots = np.isin(rows.rows[:, 0], ROBOT_SUBJECTS)
     has_log = np.isin(rows.rows[:, 0], list(data.logs))
@@ -146,17 +146,22 @@ def observations(
         'observation after odometry': rows.stamps <= end,
         'observation of a robot without odometry': has_log | ~robots,
         'observation of a robot': ~robots | options.robot_observations,
+        'range below the error of the camera': rows.rows[:, 1] > 0.0,
     }.items():
         counts[reason] += int((wanted & ~accepted).sum())
         wanted &= accepted
     rows = rows[wanted]
     kept = _thinned(rows, round(options.thin * NS))
     counts['observation thinned'] += int((~kept).sum())
-    used = rows[kept]
+    return rows[kept]
+
+
+def _corrected(observed: Series, robot: int, options: ConversionOptions) -> Series:
+    """Return observations without the systematic errors of a robot's camera."""
+    subjects, r, beta = observed.rows.T
     offset, per_metre = options.range_errors.get(robot, (0.0, 0.0))
-    used.rows[:, 1] = (used.rows[:, 1] - offset) / (1.0 + per_metre)
-    used.rows[:, 2] -= bearing_offset(robot, options)[0]
-    return used
+    return Series(observed.stamps, np.column_stack([
+        subjects, (r - offset) / (1.0 + per_metre), beta - bearing_offset(robot, options)[0]]))
 
 
 def truth(log: RobotLog, options: ConversionOptions) -> Series:

@@ -148,6 +148,17 @@ def test_unused_observations_are_counted_by_reason(convert, row, reason):
     assert converted[1] == {reason: 1}
 
 
+def test_errors_of_a_camera_are_removed_from_ranges(convert):
+    options = replace(EXACT, range_errors={1: (0.1, -0.02)})
+
+    converted = convert(options, Robot1_Measurement=[
+        (105, 7, 0.98 * 2.0 + 0.1, 0.3), (106, 7, 0.09, 0.3)])
+
+    scan, = of_kind(Scan, converted)
+    assert np.hypot(*scan.observations[0].z) == pytest.approx(2.0, rel=1e-12)
+    assert converted[1]['range below the error of the camera'] == 1
+
+
 def test_records_come_in_the_order_of_stamps_with_true_poses_within_the_odometry(convert):
     truth = [(99.0 + 0.5 * k, 0.0, 0.0, 0.0) for k in range(30)]
 
