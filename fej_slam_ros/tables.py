@@ -7,6 +7,8 @@ import math
 
 #: Cells of a row of a CSV file by column; None where a row is too short.
 Cells = Mapping[str, str | None]
+#: Largest integer in an array
+MAX_INTEGER = 2 ** 63 - 1
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -56,6 +58,9 @@ def integer(cells: Cells, name: str) -> int:
     """Return the integer in a column; raises ValueError for any other content."""
     text = cells[name]
     try:
-        return int(text or '')
+        number = int(text or '')
     except ValueError:
-        raise ValueError(f'where {name} is {text!r} and not an integer') from None
+        number = MAX_INTEGER + 1
+    if abs(number) > MAX_INTEGER:
+        raise ValueError(f'where {name} is {text!r} and not an integer of 64 bits')
+    return number

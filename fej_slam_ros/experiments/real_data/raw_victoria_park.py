@@ -4,7 +4,7 @@
 The raw log of Victoria Park, with and without tree IDs, compared with GPS.
 
 There is no ground truth. GPS is accurate to one or two metres between its jumps; the published
-data association has the ID of seven detections in eight.
+data association has the ID of nine detections in ten.
 """
 
 from collections import defaultdict

@@ -8,7 +8,7 @@ import numpy as np
 
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.geometry import Array, symmetric
-from fej_slam_ros.tables import Cells, finite_numbers
+from fej_slam_ros.tables import Cells, finite_numbers, integer
 
 TRAJECTORY_COLUMNS = (
     'stamp_ns', 'x', 'y', 'yaw', 'cov_xx', 'cov_xy', 'cov_xyaw', 'cov_yy', 'cov_yyaw',
@@ -55,19 +55,11 @@ def read_pose(cells: Cells) -> PoseRow:
     """Return a row of a trajectory; raises ValueError for cells that are not numbers."""
     numbers = np.array(finite_numbers(cells, TRAJECTORY_COLUMNS[1:-1]))
     return PoseRow(
-        _integer(cells, 'stamp_ns'), cells['frame'] or '', numbers[:3], symmetric(numbers[3:]))
+        integer(cells, 'stamp_ns'), cells['frame'] or '', numbers[:3], symmetric(numbers[3:]))
 
 
 def read_landmark(cells: Cells) -> LandmarkRow:
     """Return a row of a map; raises ValueError for cells that are not numbers."""
     numbers = np.array(finite_numbers(cells, SURVEY_COLUMNS[1:]))
     return LandmarkRow(
-        _integer(cells, 'id'), cells.get('frame') or '', numbers[:2], symmetric(numbers[2:]))
-
-
-def _integer(cells: Cells, name: str) -> int:
-    """Return an integer that an array can hold; raises ValueError for others."""
-    number = int(cells[name] or '')
-    if abs(number) > np.iinfo(np.int64).max:
-        raise ValueError(f'{name} is out of range')
-    return number
+        integer(cells, 'id'), cells.get('frame') or '', numbers[:2], symmetric(numbers[2:]))

@@ -144,6 +144,7 @@ def test_the_team_has_the_robots_with_odometry():
     ('a,1,0,0', 'line 2: where yaw is None and not a finite number'),
     ('a,1,0,x,0', "line 2: where y is 'x' and not a finite number"),
     ('a,x,0,0,0', "line 2: where stamp_ns is 'x' and not an integer"),
+    (f'a,{2 ** 63},0,0,0', "line 2: where stamp_ns is '9223372036854775808' and not an integer"),
     (',1,0,0,0', 'line 2: robot is empty'),
     ('a,1,0,0,0\na,1,0,0,nan', "line 3: where yaw is 'nan'")])
 def test_a_damaged_row_is_named(tmp_path, rows, reason):
