@@ -16,9 +16,10 @@ STRAIGHT = {
     'Robot1_Measurement': [(101.0, 7, 2.0, 0.5), (110.0, 7, 1.5, 0.7)],
 }
 
-#: The motion is that of the commands, without delay.
+#: The motion is that of the commands, and images have no delay.
 EXACT = ConversionOptions(
-    motion_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0, correlation_factor=1.0)
+    motion_delay=0.0, camera_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0,
+    correlation_factor=1.0)
 
 
 def write_set(folder: Path, files: dict[str, list[tuple[object, ...]]]) -> Path:

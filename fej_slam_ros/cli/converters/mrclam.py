@@ -43,6 +43,10 @@ def add_arguments(parser: ArgumentParser) -> None:
         help='delay from command to motion (default: as measured, or'
         f' {default.motion_delay:g} s without ground truth)')
     parser.add_argument(
+        '--camera-delay', metavar='SECONDS', type=number_option('--camera-delay', 0.0, 10.0),
+        help='delay from an image to the stamp of its observations (default: as measured, or'
+        f' {default.camera_delay:g} s without ground truth)')
+    parser.add_argument(
         '--odometry-scale', metavar=('V', 'W'), nargs=2,
         type=number_option('--odometry-scale', 1e-3),
         help='true over commanded speed, ahead and turning'
@@ -96,7 +100,8 @@ def convert(arguments: Namespace) -> None:
 def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
     """Return the options as given by arguments, else as measured, else the defaults."""
     delay, scale = arguments.motion_delay, arguments.odometry_scale
-    options = noise.best_options(data, delay, scale and tuple(scale), arguments.thin)
+    options = noise.best_options(
+        data, delay, scale and tuple(scale), arguments.camera_delay, arguments.thin)
     sigmas = options.noise
     if arguments.range_sigma is not None:
         sigmas = replace(sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma)
@@ -117,8 +122,8 @@ def _report(
     yield from _counted(Counter({
         f'broken row in {name}': count for name, count in data.broken_rows.items()}))
     if not noise.is_measurable(data):
-        what = 'delay and scale' if any(len(log.truth) for log in data.logs.values()) else (
-            'delay, scale and noise')
+        what = 'delays and scale' if any(len(log.truth) for log in data.logs.values()) else (
+            'delays, scale and noise')
         yield f'too few true poses to measure {what}: they are those of set 6, or given by options'
     # A start from true poses is never exact.
     if not any(settings.anchor_sigma):

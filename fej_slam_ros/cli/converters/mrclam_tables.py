@@ -26,6 +26,7 @@ def _settings_rows(options: ConversionOptions) -> Iterator[tuple[str, ...]]:
     variances, delay = options.noise, f'{options.motion_delay:.2f}'
     yield 'commands', 'ahead', 'turning'
     yield 'delay [s]', delay, delay
+    yield 'delay of cameras [s]', '', f'{options.camera_delay:.3f}'
     yield ('true over commanded speed', *(f'{scale:.3f}' for scale in options.odometry_scale))
     for robot, (per_metre, per_radian) in options.own_turns.items():
         yield (

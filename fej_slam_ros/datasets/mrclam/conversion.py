@@ -61,6 +61,7 @@ class ConversionOptions:
     """Parameters of the conversion."""
 
     motion_delay: float = 0.18  #: Delay from a command to the motion [s]
+    camera_delay: float = 0.04  #: Delay from an image to the stamp of its observations [s]
     #: Ratios of true to commanded forward speed and turn rate.
     odometry_scale: tuple[float, float] = (0.956, 0.947)
     #: Turns that a robot was not commanded, by subject: [rad] per metre driven, and per radian
@@ -157,7 +158,8 @@ def observations(
 
 
 def _corrected(observed: Series, robot: int, options: ConversionOptions) -> Series:
-    """Return observations without the systematic errors of a robot's camera."""
+    """Return observations, at the stamps of their images, without the errors of a camera."""
+    observed = observed.shifted(-round(options.camera_delay * NS))
     subjects, r, beta = observed.rows.T
     offset, per_metre = options.range_errors.get(robot, (0.0, 0.0))
     return Series(observed.stamps, np.column_stack([

@@ -18,8 +18,8 @@ from fej_slam_ros.datasets.mrclam.conversion import (
     STANDSTILL_VARIANCE, sums_between)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
 from fej_slam_ros.datasets.mrclam.observation_errors import (
-    bearing_offsets, observation_errors, ObservationErrors, range_errors, rms, sigmas, true_poses,
-    without_systematic_errors)
+    bearing_offsets, errors_near_truth, observation_errors, ObservationErrors, range_errors, rms,
+    sigmas, true_poses, without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.run_settings import settings, TRUTH_SIGMA
 
 #: Minimum number of windows for the growth of errors, and of observations of a kind, for an
@@ -36,8 +36,10 @@ OWN_TURN_SIGMA = np.array([0.1, 0.1])
 #: Standard deviation of the growth of errors per metre and per radian, relative to that of set 6
 #: times a common factor.
 RATIO_SIGMA = 0.3
-#: Upper bound of the delay from a command to the motion [s].
-MAX_MOTION_DELAY = 0.5
+#: Upper bounds of the delay from a command to the motion, and of that of a camera [s].
+MAX_MOTION_DELAY, MAX_CAMERA_DELAY = 0.5, 0.2
+#: Standard deviation of the delay of a camera, where no robot turns [s].
+CAMERA_DELAY_SIGMA = 0.05
 #: Iterations of the reweighted least squares for the growth of errors, enough to converge.
 REWEIGHTINGS = 10
 
@@ -64,9 +66,10 @@ def is_measurable(data: MrclamSet) -> bool:
 
 def measured_options(
     data: MrclamSet, motion_delay: float | None = None,
-    odometry_scale: tuple[float, float] | None = None, thin: float = ConversionOptions.thin,
+    odometry_scale: tuple[float, float] | None = None, camera_delay: float | None = None,
+    thin: float = ConversionOptions.thin,
 ) -> ConversionOptions:
-    """Return the options with measured delay and scale, unless given, and the remaining noise."""
+    """Return the options with measured delays and scale, unless given, and the remaining noise."""
     options = ConversionOptions(odometry_scale=(1.0, 1.0), thin=thin)
     if motion_delay is None:
         motion_delay = _delay(data, options)
@@ -81,26 +84,32 @@ def measured_options(
         windows, seconds = increments(data, options, GROWTH_WINDOW), GROWTH_WINDOW
     heading = _growth(windows, 2, seconds, usual.heading)
     noise = replace(options.noise, position=position, heading=heading)
-    options = _with_observation_noise(replace(options, noise=noise), *observation_errors(data))
+    if camera_delay is None:
+        camera_delay = _camera_delay(data, options)
+    options = replace(options, noise=noise, camera_delay=camera_delay)
+    options = _with_observation_noise(options, *observation_errors(data, options.camera_delay))
     return replace(options, correlation_factor=_correlation_factor(data, options))
 
 
 def best_options(
     data: MrclamSet, motion_delay: float | None = None,
-    odometry_scale: tuple[float, float] | None = None, thin: float = ConversionOptions.thin,
+    odometry_scale: tuple[float, float] | None = None, camera_delay: float | None = None,
+    thin: float = ConversionOptions.thin,
 ) -> ConversionOptions:
     """
     Return the options as given, else as measured, else the defaults.
 
-    Without the ground truth that `is_measurable` needs, delay and scale are the defaults; the rest
-    is measured between sparse true poses, and by observations near them.
+    Without the ground truth that `is_measurable` needs, delays and scale are the defaults; the
+    rest is measured between sparse true poses, and by observations near them.
 
     """
     if is_measurable(data):
-        return measured_options(data, motion_delay, odometry_scale, thin)
+        return measured_options(data, motion_delay, odometry_scale, camera_delay, thin)
     options = ConversionOptions(thin=thin)
     if motion_delay is not None:
         options = replace(options, motion_delay=motion_delay)
+    if camera_delay is not None:
+        options = replace(options, camera_delay=camera_delay)
     options = replace(options, odometry_scale=odometry_scale or options.odometry_scale)
     options = replace(options, own_turns=own_turns(data, options))
     factor = _odometry_variance_factor(data, options)
@@ -108,7 +117,7 @@ def best_options(
         options.noise, position=_scaled(options.noise.position, factor),
         heading=_scaled(options.noise.heading, factor))
     return _with_observation_noise(
-        replace(options, noise=noise), *observation_errors(data, options), noise.range,
+        replace(options, noise=noise), *errors_near_truth(data, options), noise.range,
         noise.bearing)
 
 
@@ -232,6 +241,22 @@ def _delay(data: MrclamSet, options: ConversionOptions) -> float:
         return rms(windows.true[:, 2] - _ratio(windows, 2) * windows.measured[:, 2])
 
     return float(minimize_scalar(error, bounds=(0.0, MAX_MOTION_DELAY), options={'xatol': 1e-3}).x)
+
+
+def _camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
+    """Return the delay [s] with which bearings fit the true poses best, drawn to the usual one."""
+    usual, sigma = options.camera_delay, options.noise.bearing
+    count = sum(len(log.observations) for log in data.logs.values())
+
+    def cost(delay: float) -> float:
+        landmarks, _ = observation_errors(data, delay)
+        errors = without_systematic_errors(landmarks, bearing_offsets(landmarks), {})
+        inliers = errors.where(~errors.outliers())
+        fit = count * np.square(inliers.bearings / sigma).mean() if len(inliers.bearings) else 0.0
+        return float(fit + ((delay - usual) / CAMERA_DELAY_SIGMA) ** 2)
+
+    bounds = 0.0, MAX_CAMERA_DELAY
+    return float(minimize_scalar(cost, bounds=bounds, options={'xatol': 1e-3}).x)
 
 
 def _scale(data: MrclamSet, options: ConversionOptions) -> tuple[float, float]:

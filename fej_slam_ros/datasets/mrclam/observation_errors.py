@@ -77,21 +77,30 @@ class ObservationNoise:
     correlation: Mapping[tuple[float, float], float]
 
 
+#: Poses (n, 3) of a robot at stamps (n,), and which are known.
+PosesOf = Callable[[RobotLog, Stamps], tuple[Array, Flags]]
+
+
 def observation_errors(
-    data: MrclamSet, options: ConversionOptions | None = None
+    data: MrclamSet, camera_delay: float = 0.0
 ) -> tuple[ObservationErrors, ObservationErrors]:
-    """
-    Return the errors of the observations of landmarks and of robots with ground truth.
+    """Return the errors of the observations of landmarks and of robots with ground truth."""
+    return _errors(data, camera_delay, lambda log, stamps: true_poses(log.truth, stamps))
 
-    With options, odometry leads from sparse true poses to observations within `NEAR_TRUTH`.
 
-    """
-    def poses_of(log: RobotLog, stamps: Stamps) -> tuple[Array, Flags]:
-        if options is None:
-            return true_poses(log.truth, stamps)
-        return _near_true_poses(log, options, stamps)
+def errors_near_truth(
+    data: MrclamSet, options: ConversionOptions
+) -> tuple[ObservationErrors, ObservationErrors]:
+    """Return errors likewise; odometry leads from true poses to those within `NEAR_TRUTH`."""
+    return _errors(
+        data, options.camera_delay, lambda log, stamps: _near_true_poses(log, options, stamps))
 
-    parts = [_errors_of(data, robot, poses_of) for robot in data.logs]
+
+def _errors(
+    data: MrclamSet, camera_delay: float, poses_of: PosesOf
+) -> tuple[ObservationErrors, ObservationErrors]:
+    delay = round(camera_delay * NS)
+    parts = [_errors_of(data, robot, delay, poses_of) for robot in data.logs]
     errors = ObservationErrors(*(np.concatenate(column) for column in zip(*parts)))
     robots = np.isin(errors.subjects, ROBOT_SUBJECTS)
     return errors.where(~robots), errors.where(robots)
@@ -210,10 +219,10 @@ def _near_true_poses(
 
 
 def _errors_of(
-    data: MrclamSet, robot: int, poses_of: Callable[[RobotLog, Stamps], tuple[Array, Flags]]
+    data: MrclamSet, robot: int, delay: int, poses_of: PosesOf
 ) -> tuple[Array, ...]:
     log = data.logs[robot]
-    stamps, (subjects, r, beta) = log.observations.stamps, log.observations.rows.T
+    stamps, (subjects, r, beta) = log.observations.stamps - delay, log.observations.rows.T
     poses, known = poses_of(log, stamps)
     points = np.full((len(stamps), 2), np.nan)
     for subject in np.unique(subjects).astype(int).tolist():

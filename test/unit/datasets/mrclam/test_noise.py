@@ -175,6 +175,28 @@ def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
     np.testing.assert_allclose(used, before - offset, rtol=0.0, atol=1e-12)
 
 
+def test_the_delay_of_a_camera_is_measured_and_removed(synthetic):
+    log = synthetic.logs[1]
+    late = replace(log, observations=log.observations.shifted(60_000_000))
+
+    options = best_options(replace(synthetic, logs={1: late}))
+
+    # 1,800 bearings with a standard deviation of 0.02 at turn rates of 0.23 rad/s: 0.002 s.
+    assert options.camera_delay == pytest.approx(0.06, abs=0.006)
+    assert options.noise.bearing == pytest.approx(BEARING, rel=0.05)
+    before, used = (
+        observations_used(synthetic, 1, replace(options, camera_delay=delay), Counter()).stamps
+        for delay in (0.0, 0.06))
+    np.testing.assert_array_equal(used, before[:len(used)] - 60_000_000)
+
+
+def test_the_delay_of_a_camera_at_rest_is_the_default(tmp_path):
+    still = synthetic_set(tmp_path, turn_rate=0.0, speed=0.0)
+
+    assert best_options(still, DELAY, SCALE).camera_delay == pytest.approx(
+        ConversionOptions().camera_delay, abs=0.002)
+
+
 @pytest.mark.parametrize(('offset', 'per_metre'), [(0.08, 0.0), (0.0, -0.03), (0.06, -0.03)])
 @pytest.mark.parametrize('truth_seconds', [0.0, 2.0])
 def test_systematic_errors_of_ranges_are_measured_and_removed(
@@ -185,7 +207,7 @@ def test_systematic_errors_of_ranges_are_measured_and_removed(
     wrong = replace(log, observations=replace(log.observations, rows=rows))
     data = replace(data, logs={1: wrong})
 
-    options = best_options(data, DELAY, SCALE)
+    options = best_options(data, DELAY, SCALE, camera_delay=0.0)
 
     used = observations_used(data, 1, replace(options, thin=0.0), Counter())
     right = log.observations[np.isin(log.observations.stamps, used.stamps)].rows[:, 1]
@@ -200,7 +222,7 @@ def test_with_sparse_true_poses_the_angle_of_a_camera_and_the_noise_are_measured
     turned = replace(log.observations, rows=np.add(log.observations.rows, [0.0, 0.0, 0.03]))
 
     options = best_options(
-        replace(sparse, logs={1: replace(log, observations=turned)}), DELAY, SCALE)
+        replace(sparse, logs={1: replace(log, observations=turned)}), DELAY, SCALE, 0.0)
 
     # One bearing with a standard deviation of 0.02 in each of 225 quarters of a second.
     offset, sigma = options.bearing_offsets[1]
