@@ -18,7 +18,7 @@ STRAIGHT = {
 
 #: The motion is that of the commands, and images have no delay.
 EXACT = ConversionOptions(
-    motion_delay=0.0, camera_delay=0.0, odometry_scale=(1.0, 1.0), thin=0.0,
+    motion_delay=0.0, camera_delay=0.0, odometry_scale=(1.0, 1.0), slowdown=0.0, thin=0.0,
     correlation_factor=1.0)
 
 

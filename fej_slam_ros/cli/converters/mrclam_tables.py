@@ -5,7 +5,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 
-from fej_slam_ros.datasets.mrclam import noise, observation_errors
+from fej_slam_ros.datasets.mrclam import command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.tables import text_table
@@ -28,6 +28,7 @@ def _settings_rows(options: ConversionOptions) -> Iterator[tuple[str, ...]]:
     yield 'delay [s]', delay, delay
     yield 'delay of cameras [s]', '', f'{options.camera_delay:.3f}'
     yield ('true over commanded speed', *(f'{scale:.3f}' for scale in options.odometry_scale))
+    yield 'decrease of that per turn rate [s/rad]', f'{options.slowdown:.3f}', ''
     for robot, (per_metre, per_radian) in options.own_turns.items():
         yield (
             f'own turns of {robot_name(robot)} [rad/m, rad/rad]', f'{per_metre:+.3f}',
@@ -44,7 +45,8 @@ def _speed_rows(data: MrclamSet, options: ConversionOptions) -> Iterator[tuple[s
         *(f'{unit} in {window:g} s' for unit in ('m/s', 'rad/s') for window in SPEED_WINDOWS))
     single = {robot_name(k): replace(data, logs={k: log}) for k, log in data.logs.items()}
     for name, part in {**single, 'all': data}.items():
-        errors = [noise.increments(part, options, window).errors() for window in SPEED_WINDOWS]
+        errors = [
+            command_errors.increments(part, options, window).errors() for window in SPEED_WINDOWS]
         if all(map(len, errors)):
             sds = [e.std(axis=0) / window for e, window in zip(errors, SPEED_WINDOWS)]
             yield (name, *(f'{sd[axis]:.3f}' for axis in (0, 2) for sd in sds))

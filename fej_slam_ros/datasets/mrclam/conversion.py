@@ -31,6 +31,8 @@ STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
 MAX_COMMAND_HOLD = 2 * NS
 #: Time [ns] without commands that may be missing where a clock was set.
 JOINT_TIME = NS // 2
+#: Turn rate [rad/s] above which a robot is slowed down no further; set 6 has none.
+MAX_SLOWING_RATE = 0.41
 #: Standard deviation of the angles [rad] at which cameras are mounted.
 OFFSET_SIGMA = 0.02
 
@@ -38,11 +40,11 @@ OFFSET_SIGMA = 0.02
 @dataclass(frozen=True)
 class Noise:
     """
-    Noise of commands and camera; the defaults are those of set 6.
+    Noise of commands and camera; the defaults are those of set 6 with its usual errors.
 
-    Errors of commands persist for seconds, those of the heading for tens of seconds, so they
-    accumulate faster than those of independent samples: the variances are such that the
-    accumulated variance is right after 5 s, that of the heading after 20 s.
+    Errors of commands persist for seconds, so they accumulate faster than those of independent
+    samples: the variances are such that the accumulated variance is right after 5 s. Those of the
+    defaults cover what is not known without ground truth.
     """
 
     #: Variances [m^2, rad^2] per metre driven and per radian turned.
@@ -62,8 +64,10 @@ class ConversionOptions:
 
     motion_delay: float = 0.18  #: Delay from a command to the motion [s]
     camera_delay: float = 0.04  #: Delay from an image to the stamp of its observations [s]
-    #: Ratios of true to commanded forward speed and turn rate.
-    odometry_scale: tuple[float, float] = (0.956, 0.947)
+    #: Ratios of true to commanded forward speed, driving straight ahead, and turn rate.
+    odometry_scale: tuple[float, float] = (1.045, 0.947)
+    #: Decrease of the first ratio per commanded turn rate [s/rad].
+    slowdown: float = 1.17
     #: Turns that a robot was not commanded, by subject: [rad] per metre driven, and per radian
     #: turned; 0 for others.
     own_turns: Mapping[int, tuple[float, float]] = field(default_factory=dict)
@@ -102,11 +106,23 @@ def odometry_stamps(log: RobotLog, options: ConversionOptions) -> Stamps:
     return log.commands.stamps + round(options.motion_delay * NS)
 
 
+def speeds(commands: Array, options: ConversionOptions) -> Array:
+    """Return to what commands (n, 2) lead, ahead [m/s] and turning [rad/s], (n, 2)."""
+    v, w = commands.T
+    ahead, turning = options.odometry_scale
+    return np.column_stack([v * (ahead - options.slowdown * slowing_rates(w)), w * turning])
+
+
+def slowing_rates(turn_rates: Array) -> Array:
+    """Return the part of commanded turn rates (n,) that slows a robot down [rad/s]."""
+    return np.minimum(np.abs(turn_rates), MAX_SLOWING_RATE)
+
+
 def odometry(log: RobotLog, options: ConversionOptions) -> tuple[Stamps, Array]:
     """Return stamps (n,) [ns] and poses (n, 3) in the frame of the first of them."""
     stamps = odometry_stamps(log, options)
     dt = np.diff(stamps) / NS
-    v, w = (log.commands.rows[:-1] * options.odometry_scale).T
+    v, w = speeds(log.commands.rows[:-1], options).T
     per_metre, per_radian = options.own_turns.get(log.robot, (0.0, 0.0))
     return stamps, arc_poses(v * dt, (w + per_metre * v + per_radian * w) * dt)
 

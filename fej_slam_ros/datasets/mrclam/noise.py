@@ -3,60 +3,38 @@
 """Noise of an MRCLAM set's commands and camera, measured against its motion capture."""
 
 from collections import Counter, defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize_scalar, nnls
 
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, noise_scale, noise_scales, normalized_errors)
-from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
-from fej_slam_ros.core.models import h_pose
-from fej_slam_ros.core.records import NS, Odometry, TruePose
+from fej_slam_ros.core.records import Odometry, TruePose
+from fej_slam_ros.datasets.mrclam import command_errors
+from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, records,
-    STANDSTILL_VARIANCE, sums_between)
-from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
+    ConversionOptions, records, STANDSTILL_VARIANCE)
+from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import (
-    bearing_offsets, errors_near_truth, observation_errors, ObservationErrors, range_errors, rms,
-    sigmas, true_poses, without_systematic_errors)
-from fej_slam_ros.datasets.mrclam.run_settings import settings, TRUTH_SIGMA
+    bearing_offsets, errors_near_truth, observation_errors, ObservationErrors, range_errors,
+    sigmas, without_systematic_errors)
+from fej_slam_ros.datasets.mrclam.run_settings import settings
 
 #: Minimum number of windows for the growth of errors, and of observations of a kind, for an
-#: estimate; with fewer windows of `HEADING_WINDOW` those of `GROWTH_WINDOW` are used.
+#: estimate.
 MIN_WINDOWS, MIN_OBSERVATIONS = 10, 200
-#: Windows [s] over which increments are compared: for the delay, and for the growth of errors of
-#: positions and of headings, which persist for longer.
-DELAY_WINDOW, GROWTH_WINDOW, HEADING_WINDOW = 0.2, 5.0, 20.0
-#: Longest window [s] between true poses for the turns of a robot that were not commanded, in which
-#: a heading error stays well below half a turn, and standard deviations of these turns among
-#: robots [rad/m, rad/rad].
-MAX_TURN_WINDOW = 60.0
-OWN_TURN_SIGMA = np.array([0.1, 0.1])
+#: Window [s] over which errors of odometry grow: they persist for seconds.
+GROWTH_WINDOW = 5.0
 #: Standard deviation of the growth of errors per metre and per radian, relative to that of set 6
 #: times a common factor.
 RATIO_SIGMA = 0.3
-#: Upper bounds of the delay from a command to the motion, and of that of a camera [s].
-MAX_MOTION_DELAY, MAX_CAMERA_DELAY = 0.5, 0.2
-#: Standard deviation of the delay of a camera, where no robot turns [s].
-CAMERA_DELAY_SIGMA = 0.05
+#: Upper bound of the delay of a camera, and its standard deviation where no robot turns [s].
+MAX_CAMERA_DELAY, CAMERA_DELAY_SIGMA = 0.2, 0.05
 #: Iterations of the reweighted least squares for the growth of errors, enough to converge.
 REWEIGHTINGS = 10
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WindowIncrements:
-    """Motion of robots over windows of time."""
-
-    #: (n, 3) arrays, poses at the end in the frame of the beginning [m, m, rad]; turns beyond half
-    #: a turn are not wrapped.
-    true: Array
-    measured: Array
-    commanded: Array  #: (n, 2) array, distance [m] and turn [rad] that were commanded, unsigned
-
-    def errors(self) -> Array:
-        """Return the errors of odometry, true - measured, (n, 3)."""
-        return self.true - self.measured
+#: Odometry as the commands state.
+AS_COMMANDED = ConversionOptions(odometry_scale=(1.0, 1.0), slowdown=0.0)
 
 
 def is_measurable(data: MrclamSet) -> bool:
@@ -70,20 +48,19 @@ def measured_options(
     thin: float = ConversionOptions.thin,
 ) -> ConversionOptions:
     """Return the options with measured delays and scale, unless given, and the remaining noise."""
-    options = ConversionOptions(odometry_scale=(1.0, 1.0), thin=thin)
     if motion_delay is None:
-        motion_delay = _delay(data, options)
-    options = replace(options, motion_delay=motion_delay)
-    options = replace(options, odometry_scale=odometry_scale or _scale(data, options))
+        motion_delay = command_errors.motion_delay(data, AS_COMMANDED)
+    options = ConversionOptions(motion_delay, thin=thin)
+    if odometry_scale is None:
+        as_commanded = replace(AS_COMMANDED, motion_delay=motion_delay)
+        options = _with_forward_speed(data, options, command_errors.turn_ratio(data, as_commanded))
+    else:
+        options = replace(options, odometry_scale=odometry_scale, slowdown=0.0)
     options = replace(options, own_turns=own_turns(data, options))
-    usual = options.noise
-    position = _growth(
-        increments(data, options, GROWTH_WINDOW), 0, GROWTH_WINDOW, usual.position)
-    windows, seconds = increments(data, options, HEADING_WINDOW), HEADING_WINDOW
-    if len(windows.true) < MIN_WINDOWS:
-        windows, seconds = increments(data, options, GROWTH_WINDOW), GROWTH_WINDOW
-    heading = _growth(windows, 2, seconds, usual.heading)
-    noise = replace(options.noise, position=position, heading=heading)
+    windows, usual = increments(data, options, GROWTH_WINDOW), options.noise
+    noise = replace(
+        usual, position=_growth(windows, 0, usual.position),
+        heading=_growth(windows, 2, usual.heading))
     if camera_delay is None:
         camera_delay = _camera_delay(data, options)
     options = replace(options, noise=noise, camera_delay=camera_delay)
@@ -110,7 +87,10 @@ def best_options(
         options = replace(options, motion_delay=motion_delay)
     if camera_delay is not None:
         options = replace(options, camera_delay=camera_delay)
-    options = replace(options, odometry_scale=odometry_scale or options.odometry_scale)
+    if odometry_scale is None:
+        options = _with_forward_speed(data, options, options.odometry_scale[1])
+    else:
+        options = replace(options, odometry_scale=odometry_scale, slowdown=0.0)
     options = replace(options, own_turns=own_turns(data, options))
     factor = _odometry_variance_factor(data, options)
     noise = replace(
@@ -119,6 +99,14 @@ def best_options(
     return _with_observation_noise(
         replace(options, noise=noise), *errors_near_truth(data, options), noise.range,
         noise.bearing)
+
+
+def _with_forward_speed(
+    data: MrclamSet, options: ConversionOptions, turn_ratio: float
+) -> ConversionOptions:
+    options = replace(options, odometry_scale=(options.odometry_scale[0], turn_ratio))
+    ratio, slowdown = command_errors.forward_speed(data, options)
+    return replace(options, odometry_scale=(ratio, turn_ratio), slowdown=slowdown)
 
 
 def _with_observation_noise(
@@ -155,37 +143,6 @@ def _correlation_factor(data: MrclamSet, options: ConversionOptions) -> float:
     return max(found.scale, 1.0) if found.is_known() else options.correlation_factor
 
 
-def own_turns(data: MrclamSet, options: ConversionOptions) -> dict[int, tuple[float, float]]:
-    """
-    Return the turns of each robot that it was not commanded, per metre and per radian.
-
-    Weighted least squares over windows between true poses, which may be sparse, with the prior
-    `OWN_TURN_SIGMA`: without true poses they are zero.
-
-    """
-    return {robot: _own_turns(log, options) for robot, log in data.logs.items()}
-
-
-def _own_turns(log: RobotLog, options: ConversionOptions) -> tuple[float, float]:
-    stamps, poses = odometry(log, options)
-    true = log.truth.between(stamps[0], stamps[-1])
-    windows = (true.stamps - stamps[0]) // round(GROWTH_WINDOW * NS)
-    true = true[np.diff(windows, prepend=-1) > 0]
-    dt = np.diff(stamps)[:, None] / NS
-    amounts = np.hstack([
-        log.commands.rows[:-1] * options.odometry_scale * dt,
-        increment_variances(log, options)[:, 2:]])
-    driven, turned, variances = sums_between(true.stamps, stamps, amounts).T
-    headings = poses_at(true.stamps, stamps, poses)[:, 2]
-    errors = wrap_all(np.diff(true.rows[:, 2]) - np.diff(headings))
-    used = np.diff(true.stamps) <= MAX_TURN_WINDOW * NS
-    weights = used / (variances + 2.0 * TRUTH_SIGMA[2] ** 2)
-    A = np.column_stack([driven, turned])
-    N = (A.T * weights) @ A + np.diag(OWN_TURN_SIGMA ** -2)
-    per_metre, per_radian = np.linalg.solve(N, A.T @ (weights * errors)).tolist()
-    return per_metre, per_radian
-
-
 def _odometry_variance_factor(data: MrclamSet, options: ConversionOptions) -> float:
     """Return the ratio of variances of odometry to the stated ones; 1 if it is not known."""
     motions = [
@@ -201,46 +158,6 @@ def _odometry_variance_factor(data: MrclamSet, options: ConversionOptions) -> fl
 def _scaled(variances: tuple[float, float], factor: float) -> tuple[float, float]:
     driving, turning = variances
     return factor * driving, factor * turning
-
-
-def increments(data: MrclamSet, options: ConversionOptions, window: float) -> WindowIncrements:
-    """Return the motion of the robots of a set over windows [s] with ground truth."""
-    parts = [_increments(log, options, window) for log in data.logs.values()]
-    return WindowIncrements(*(np.vstack(column) for column in zip(*parts)))
-
-
-def _increments(
-    log: RobotLog, options: ConversionOptions, window: float
-) -> tuple[Array, Array, Array]:
-    stamps, poses = odometry(log, options)
-    # Edges, and with them the noise of commands, are the same for any delay that is searched.
-    first = max(stamps[0], log.commands.stamps[0] + round(MAX_MOTION_DELAY * NS))
-    edges = np.arange(first, stamps[-1], round(window * NS))
-    dt = np.diff(stamps)[:, None]
-    amounts = np.hstack([np.abs(log.commands.rows[:-1]) * dt / NS, dt > MAX_COMMAND_HOLD])
-    commanded = sums_between(edges, stamps, amounts)
-    truth, known = true_poses(log.truth, edges)
-    # Motion in a long gap between commands is not an odometry error.
-    used = known[:-1] & known[1:] & (commanded[:, 2] == 0.0)
-    true, measured = _differences(truth), _differences(poses_at(edges, stamps, poses))
-    # A robot may turn by more than half a turn in a window.
-    measured[:, 2] = np.diff(np.interp(edges, stamps, np.unwrap(poses[:, 2])))
-    true[:, 2] = measured[:, 2] + wrap_all(true[:, 2] - measured[:, 2])
-    return true[used], measured[used], commanded[used, :2]
-
-
-def _differences(poses: Array) -> Array:
-    """Return each later pose in the frame of the previous one, (n - 1, 3)."""
-    return h_pose(poses[:-1], poses[1:])
-
-
-def _delay(data: MrclamSet, options: ConversionOptions) -> float:
-    """Return the delay [s] with which the commands fit the turns of the robots best."""
-    def error(delay: float) -> float:
-        windows = increments(data, replace(options, motion_delay=delay), DELAY_WINDOW)
-        return rms(windows.true[:, 2] - _ratio(windows, 2) * windows.measured[:, 2])
-
-    return float(minimize_scalar(error, bounds=(0.0, MAX_MOTION_DELAY), options={'xatol': 1e-3}).x)
 
 
 def _camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
@@ -259,23 +176,8 @@ def _camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
     return float(minimize_scalar(cost, bounds=bounds, options={'xatol': 1e-3}).x)
 
 
-def _scale(data: MrclamSet, options: ConversionOptions) -> tuple[float, float]:
-    """Return the ratios of true to commanded speed, forward and turning, by least squares."""
-    turning = _ratio(increments(data, options, GROWTH_WINDOW), 2)
-    # The forward increment depends on the heading, so the turns are scaled first.
-    turned = replace(options, odometry_scale=(1.0, turning))
-    return _ratio(increments(data, turned, GROWTH_WINDOW), 0), turning
-
-
-def _ratio(windows: WindowIncrements, axis: int) -> float:
-    """Return the ratio of true to measured increments; 1 for robots that never move."""
-    true, measured = windows.true[:, axis], windows.measured[:, axis]
-    moved = float(measured @ measured)
-    return float(true @ measured) / moved if moved else 1.0
-
-
 def _growth(
-    windows: WindowIncrements, axis: int, seconds: float, usual: tuple[float, float]
+    windows: WindowIncrements, axis: int, usual: tuple[float, float]
 ) -> tuple[float, float]:
     """
     Return c >= 0 so that squared errors are commanded @ c + standstill noise in the mean.
@@ -283,7 +185,8 @@ def _growth(
     Few windows do not tell driving from turning, so the ratio is drawn to that of `usual`.
 
     """
-    squares, constant = np.square(windows.errors()[:, axis]), seconds * STANDSTILL_VARIANCE[axis]
+    squares = np.square(windows.errors()[:, axis])
+    constant = GROWTH_WINDOW * STANDSTILL_VARIANCE[axis]
     variances = np.full(len(squares), squares.mean() + constant)
     (factor,), _ = nnls((windows.commanded @ usual)[:, None], squares - constant)
     expected = factor * np.array(usual)

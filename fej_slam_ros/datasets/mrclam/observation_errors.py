@@ -110,10 +110,11 @@ def bearing_offsets(
     errors: ObservationErrors, least_sigma: float = 0.0
 ) -> dict[int, tuple[float, float]]:
     """
-    Return the mean bearing error of each robot, its camera's angle, with its sigma [rad].
+    Return the mean bearing error of each robot, its camera's angle, and a sigma [rad].
 
     Errors within `OFFSET_WINDOW` count as one, of at least a sigma where their spread is not well
-    known; the prior is `OFFSET_SIGMA`.
+    known; the prior is `OFFSET_SIGMA`. The sigma is that of the error in one window: it contains
+    the spread among windows, as of motion capture that is wrong for a minute.
 
     """
     inliers = errors.where(~errors.outliers())
@@ -123,9 +124,10 @@ def bearing_offsets(
         windows = (own.seconds // OFFSET_WINDOW).astype(int)
         means = np.array([own.bearings[windows == k].mean() for k in np.unique(windows)])
         if len(means) > 1:
-            variance = max(means.var(ddof=1), least_sigma ** 2) / len(means)
+            spread = float(means.var(ddof=1))
+            variance = max(spread, least_sigma ** 2) / len(means)
             weight = OFFSET_SIGMA ** 2 / (OFFSET_SIGMA ** 2 + variance)
-            offsets[robot] = float(weight * means.mean()), float(np.sqrt(weight * variance))
+            offsets[robot] = weight * float(means.mean()), math.sqrt(weight * variance + spread)
     return offsets
 
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.datasets.mrclam.command_errors import increments
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, Noise, observations as observations_used)
+    ConversionOptions, Noise, observations as observations_used, speeds)
 from fej_slam_ros.datasets.mrclam.files import read
-from fej_slam_ros.datasets.mrclam.noise import (
-    best_options, increments, is_measurable, measured_options)
+from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable, measured_options
 from fej_slam_ros.datasets.mrclam.observation_errors import observation_errors, observation_noise
 from fej_slam_ros.datasets.mrclam.series import Series
 from helpers.mrclam import LANDMARKS, write_set
@@ -35,13 +35,14 @@ def synthetic(tmp_path_factory):
 
 def synthetic_set(
         folder, own_turns=(0.0, 0.0), truth_seconds=0.0, turn_rate=0.5, held=1, speed=0.1,
-        heading=(0.0, HEADING), seconds=SECONDS, seed=1, tau=0.0):
+        heading=(0.0, HEADING), seconds=SECONDS, seed=1, tau=0.0, slowdown=0.0):
     """Write and read a set whose robot also turns by itself, with few true poses on request."""
     rng = np.random.default_rng(seed)
     stamps = 100.0 + np.arange(RATE * seconds) / RATE
     commands = np.repeat(
         rng.uniform((0.0, -turn_rate), (speed, turn_rate), (seconds // held, 2)), RATE * held, 0)
     steps = commands * SCALE / RATE
+    steps[:, 0] -= slowdown * np.minimum(np.abs(commands[:, 1]), 0.41) * commands[:, 0] / RATE
     steps[:, 1] += steps @ own_turns
     noise = rng.normal(size=steps.shape) * np.sqrt(
         np.abs(commands) @ np.transpose([(POSITION, 0.0), heading]) / RATE)
@@ -79,7 +80,20 @@ def test_delay_and_scale_are_measured(synthetic):
     measured = measured_options(synthetic)
 
     assert measured.motion_delay == pytest.approx(DELAY, abs=0.01)
-    assert measured.odometry_scale == pytest.approx(SCALE, abs=0.02)  # 3 sigma of 900 s
+    # At the mean turn rate, 0.25 rad/s; 3 sigma of 900 s.
+    ahead, turning = measured.odometry_scale
+    assert (ahead - 0.25 * measured.slowdown, turning) == pytest.approx(SCALE, abs=0.02)
+
+
+@pytest.mark.parametrize('truth_seconds', [0.0, 10.0])
+def test_the_speed_that_is_lost_while_turning_is_measured(tmp_path, truth_seconds):
+    data = synthetic_set(tmp_path, truth_seconds=truth_seconds, slowdown=0.9, heading=(0, 0.0005))
+
+    measured = best_options(data, DELAY)
+
+    # With sparse truth turns are taken as 0.947 of the commands instead of 0.8.
+    assert measured.slowdown == pytest.approx(0.9, abs=0.2)
+    assert measured.odometry_scale[0] == pytest.approx(SCALE[0], abs=0.06)
 
 
 @pytest.mark.parametrize('seed', range(3))
@@ -332,7 +346,11 @@ def test_commands_of_set_6_have_the_delay_and_scale_in_its_readme(set_6):
     measured = measured_options(set_6)
 
     assert 0.16 <= measured.motion_delay <= 0.20
-    assert 0.87 <= measured.odometry_scale[0] <= 0.96
+    # Of 0.067 m/s straight ahead 0.067 to 0.069, of 0.086 at 0.4 rad/s 0.05: means of windows
+    # in which commands were constant.
+    straight, turning = speeds(np.array([(0.067, 0.0), (0.086, 0.4)]), measured)
+    assert straight[0] == pytest.approx(0.068, rel=0.05)
+    assert turning[0] == pytest.approx(0.050, rel=0.05)
     assert 0.92 <= measured.odometry_scale[1] <= 0.98
 
 
