@@ -21,9 +21,9 @@ GTSAM = 'gtsam==4.3.0; python_version >= "3.11"'
 # colcon runs `setup.py install` or `develop`; its executables land in lib/fej_slam_ros, where
 # `ros2 run` looks. pip builds a wheel, whose scripts land on the PATH: there `convert` and `play`
 # would hide other programs, and one command with verbs does the same.
-scripts = ['fej_slam = fej_slam_ros.cli.main:main']
+scripts = ['fej_slam = fej_slam_ros.__main__:main']
 if {'install', 'develop'} & set(sys.argv):
-    scripts = [f'{name} = fej_slam_ros.cli.main:executable' for name in EXECUTABLES]
+    scripts = [f'{name} = fej_slam_ros.__main__:executable' for name in EXECUTABLES]
 
 # Without a compiler and numpy's headers, numpy does the same; a step of a small map takes longer.
 extensions = []

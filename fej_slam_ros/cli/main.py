@@ -96,6 +96,8 @@ def _run(command: str, verb: str, words: list[str]) -> int:
     heeded = [n for n in INTERRUPTS if signal.getsignal(n) is not signal.SIG_IGN]
     try:
         with handled(_end if verb in ENDED_BY_NODE else _interrupt, numbers=heeded):
+            # The entry point has blocked them.
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPTS)
             status = _call(command, verb, words)
             sys.stdout.flush()
             return status

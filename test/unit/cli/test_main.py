@@ -85,6 +85,44 @@ def test_a_signal_interrupts_a_verb_and_the_next_one_does_not_disturb_its_end(
     assert capsys.readouterr().err == ''
 
 
+@pytest.mark.parametrize(('words', 'entry', 'status'), [
+    (['fej_slam', 'replay'], 'main', 130), (['fej_slam', 'estimator'], 'main', 0),
+    (['lib/smooth'], 'executable', 130)])
+@pytest.mark.parametrize('module', ['fej_slam_ros.cli', 'argparse', 'fej_slam_ros.interrupts'])
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_during_the_first_imports_ends_a_verb_without_a_traceback(
+    words, entry, status, module, number,
+):
+    script = (
+        'import signal, sys\n'
+        'class Interrupting:\n'
+        '    def find_spec(self, name, *_):\n'
+        f'        if name == {module!r}: signal.raise_signal({int(number)})\n'
+        'sys.meta_path.insert(0, Interrupting())\n'
+        f'sys.argv = {words}\n'
+        f'from fej_slam_ros.__main__ import {entry}\n'
+        f'sys.exit({entry}())\n')
+
+    ended = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, check=False)
+
+    assert (ended.returncode, ended.stdout, ended.stderr) == (status, '', '')
+
+
+def test_a_signal_at_the_end_of_the_process_leaves_no_traceback():
+    script = (
+        'import signal, sys\n'
+        'from fej_slam_ros.__main__ import main\n'
+        'sys.argv = ["fej_slam", "replay", "--help"]\n'
+        'try: main()\n'
+        'finally: signal.raise_signal(signal.SIGINT)\n')
+
+    ended = subprocess.run(
+        [sys.executable, '-c', script], capture_output=True, text=True, check=False)
+
+    assert (ended.returncode, ended.stderr) == (-signal.SIGINT, '')
+
+
 @pytest.mark.usefixtures('same_signals')
 def test_an_ignored_signal_stays_ignored(run):
     signal.signal(signal.SIGINT, signal.SIG_IGN)
