@@ -135,21 +135,23 @@ def test_deactivation_processes_queued_input_and_is_a_gap_in_the_input(domain, t
     assert stamps(tmp_path / 'run') == [*range(0, 1000, 100), *range(2000, 3000, 100)]
 
 
-def test_requests_that_wait_during_a_cleanup_do_not_end_the_node(domain, tmp_path):
+def test_requests_that_wait_during_a_cleanup_are_refused(domain, tmp_path):
     domain.estimate(**TEAM, checkpoint=str(tmp_path / 'team.checkpoint'))
-    requests = {
-        domain.node.create_client(trigger.Trigger, f'/estimator/{name}'): trigger.Trigger.Request()
-        for name in ('save', 'reset')}
-    for client in requests:
+    names = ['/estimator/save', '/estimator/reset', '/r2/relocalize']
+    clients = [domain.node.create_client(trigger.Trigger, name) for name in names]
+    for client in clients:
         domain.until(client.service_is_ready)
     assert change(domain, 'deactivate')
 
     changed, = requested(domain, 'cleanup')
-    for client, request in requests.items():
-        client.call_async(request)
-    domain.until(changed.done)
+    # Each service gets two requests.
+    waiting = [client.call_async(trigger.Trigger.Request()) for client in clients * 2]
+    domain.until(lambda: all(future.done() for future in [changed, *waiting]))
 
     assert changed.result().success
+    for name, future in zip(names * 2, waiting):
+        assert not future.result().success
+        assert future.result().message.startswith(f'{name} ended before ')
     assert state(domain) == 'unconfigured'
     assert not [*tmp_path.iterdir()]
 

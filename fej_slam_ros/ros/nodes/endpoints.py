@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Topics of a node: their names and message types, and messages that are under way."""
+"""Topics and services of a node: their names and types, and messages that are under way."""
 
 from collections.abc import Callable, Iterable
 from importlib import import_module
@@ -12,7 +12,9 @@ from rclpy.duration import Duration
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.service import Service
 from rclpy.subscription import Subscription
+from std_srvs.srv import Trigger
 
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.nodes.ros_process import first_line
@@ -71,6 +73,16 @@ def taken_message(subscription: Subscription) -> tuple[Any, Any] | None:
     return taken
 
 
+def end_service(node: Node, service: Service) -> None:
+    """Destroy a service of type Trigger; refuse the requests that wait, which it would lose."""
+    refusal = Trigger.Response(success=False, message=(
+        f'{service.service_name} ended before it handled the request: repeat the request when the'
+        ' service is offered again'))
+    while (header := _taken_request(service)) is not None:
+        service.send_response(refusal, header)
+    node.destroy_service(service)
+
+
 def wait_for_arrival(
     publishers: Iterable[Publisher], is_urgent: Callable[[], bool] = lambda: False
 ) -> None:
@@ -88,3 +100,10 @@ def wait_for_arrival(
     give_up = monotonic() + UNACKNOWLEDGED_WAIT
     while monotonic() < give_up and not is_urgent():
         sleep(URGENCY_CHECK_PERIOD.nanoseconds * 1e-9)
+
+
+def _taken_request(service: Service) -> Any:
+    """Return the header of the next request without the executor, None if there is none."""
+    with service.handle:
+        _, request_header = service.handle.service_take_request(Trigger.Request)
+    return request_header

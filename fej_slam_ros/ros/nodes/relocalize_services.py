@@ -20,7 +20,7 @@ from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages import outgoing, serialize
-from fej_slam_ros.ros.nodes.endpoints import message_class
+from fej_slam_ros.ros.nodes.endpoints import end_service, message_class
 from fej_slam_ros.ros.nodes.qos import reliable
 from fej_slam_ros.ros.session.inputs import ROBOT_TOPICS
 
@@ -49,7 +49,7 @@ class RelocalizeServices:
         robots = [*robots]
         for robot in self._endpoints.keys() - robots:
             service, publisher = self._endpoints.pop(robot)
-            self._node.destroy_service(service)
+            end_service(self._node, service)
             self._node.destroy_publisher(publisher)
         for robot in robots:
             if robot not in self._endpoints:

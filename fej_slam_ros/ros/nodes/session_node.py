@@ -25,7 +25,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
-from fej_slam_ros.ros.nodes.endpoints import check_topic_names, is_installed
+from fej_slam_ros.ros.nodes.endpoints import check_topic_names, end_service, is_installed
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.map_publisher import MapPublisher
 from fej_slam_ros.ros.nodes.node_diagnostics import NodeDiagnostics
@@ -127,7 +127,7 @@ class SessionNode(SettingsNode):
         for service in (
                 self.create_service(Trigger, '~/reset', self._reset),
                 self.create_service(Trigger, '~/save', self._saver.save)):
-            self._configured.callback(self.destroy_service, service)
+            self._configured.callback(end_service, self, service)
         names = log_writer.grouped(map(self.resolve_topic_name, self._session.inputs.topics))
         self.get_logger().info(f'configured: {self._session.log.description()}; inputs {names}')
 
