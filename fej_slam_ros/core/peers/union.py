@@ -10,6 +10,7 @@ or from whom it came. Robots that know the same have the same result.
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from heapq import merge
+import sys
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
@@ -45,7 +46,8 @@ def unsolved(
     settings: Settings, measurements: Iterable[Measurement], solve_every: int = SOLVE_EVERY
 ) -> TeamSmoother:
     """Return the smoother of measurements in the order of stamps, before it is solved."""
-    team = TeamSmoother(settings, solve_every)
+    # Their robots have applied their limits, which may differ, before their logs.
+    team = TeamSmoother(replace(settings, max_observations=sys.maxsize), solve_every)
     for measurement in measurements:
         team.add(measurement)
         for _ in team.take():

@@ -108,3 +108,27 @@ def test_a_robot_that_stands_still_uses_what_it_observes_of_others_as_they_do():
     assert len(hashes) == 1
     own['r1'].adopt_union(smoothed_union(own['r1'].union_task()))
     assert own['r1'].not_in_map() == {}
+
+
+def test_robots_with_different_limits_on_scans_have_the_same_map():
+    """A robot applies its limit to its own input only."""
+    settings = {
+        robot: replace(team('r1', 'r2'), max_observations=most)
+        for robot, most in (('r1', 3), ('r2', 2))}
+    logs = {robot: TeamLogs(robot, 1, settings[robot].robots[0]) for robot in settings}
+    own = {robot: PeerSmoother(settings[robot], robot, logs[robot], 10**9) for robot in settings}
+    for ms in range(0, 3000, 100):
+        for record in (
+                seen(ms), moved(ms), odometry('r2', ms, (0.0, 0.0, 0.0)),
+                scan('r2', ms, [(1, POINTS[1]), (2, POINTS[2])])):
+            assert own[record.robot].add(record) is None
+    for name, other in (('r1', 'r2'), ('r2', 'r1')):
+        logs[name].flush()
+        for block in logs[name].take_new_blocks():
+            if block.log.author == name:
+                logs[other].add(block)
+
+    maps = [smoothed_union(smoother.union_task()) for smoother in own.values()]
+
+    assert len({union.state_hash() for union in maps}) == 1
+    assert {union.statistics.observations_used['r1'] for union in maps} == {90}

@@ -610,17 +610,16 @@ def test_the_summary_of_each_robot_counts_the_observations_of_all_as_the_central
 
 
 def test_what_a_robot_rejects_of_the_log_of_another_is_counted(clock, tmp_path):
-    """It has another limit of observations than the author."""
-    sessions = {
-        'p': session('p', 'q', tmp_path / 'p', max_observations=5), 'q': session('q', 'p')}
+    """It has another limit of speed than the author."""
+    slow = {'q.max_speed': 0.05}
+    sessions = {'p': session('p', 'q', tmp_path / 'p', **slow), 'q': session('q', 'p')}
     fed(sessions, messages(), clock)
     exchanged(sessions, clock, 10.0)
 
-    strict = BagSmootherSession(settings(['p', 'q'], max_observations=5), None)
+    strict = BagSmootherSession(settings(['p', 'q'], **slow), None)
     for message in messages():
         list(strict.receive(message))
         list(strict.take())
     expected, found = (closed(run).write_files()['robots'] for run in (strict, sessions['p']))
-    for name in 'pq':
-        assert found[name]['refusals'] == expected[name]['refusals']
-        assert found[name]['refusals']['too_large'] > 10
+    assert found['q']['refusals'] == expected['q']['refusals']
+    assert found['q']['refusals']['lost_robot'] > 5
