@@ -44,8 +44,6 @@ class Quarantine:
     def restart_after(self, motion: Motion) -> bool:
         """Restart a robot in a frame of its own if its motion is unknown; return whether it is."""
         if motion.impossible:
-            self._statistics.reject(
-                Rejection(motion.robot, motion.stamp, RejectionReason.IMPOSSIBLE_MOTION))
             self._restart(motion.robot, motion.stamp, motion.impossible)
             self._lost_robots.reset(motion.robot)
         elif motion.is_too_uncertain():

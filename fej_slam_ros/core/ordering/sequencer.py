@@ -312,11 +312,15 @@ class Sequencer:
         self._released = stamp if self._released is None else max(stamp, self._released)
         arrivals, motions = [], []
         for name, queue in present.items():
+            end = queue.odometry.needed_for(stamp)
             motion = queue.advance(stamp)
             if motion is None:
                 arrivals.append(name)
-            else:
-                motions.append(motion)
+                continue
+            motions.append(motion)
+            if motion.impossible:
+                # Of the message: a scan that divides its increment is earlier.
+                self._statistics.reject(Rejection(name, end, RejectionReason.IMPOSSIBLE_MOTION))
         odometry = {name: queue.odometry.pose for name, queue in present.items()}
         return Step(
             stamp, tuple(arrivals), tuple(motions), _of_kind(Scan, taken), odometry,

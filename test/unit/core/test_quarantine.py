@@ -7,7 +7,7 @@ import pytest
 
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import estimate
-from helpers.records import odometry, robot_scan, scan
+from helpers.records import MS, odometry, robot_scan, scan
 
 VIEW = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0)), (4, (3.0, 4.0))]
 #: What r2 observes 20 m ahead, and a landmark that was not observed before.
@@ -117,6 +117,19 @@ def test_impossible_odometry_is_rejected_and_the_robot_joins_at_its_next_scan():
     assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.IMPOSSIBLE_MOTION: 1}
     assert estimator.statistics.restart_reasons == {'r2': 'its odometry moved 30.0 m in 0.10 s'}
     np.testing.assert_allclose(estimator.pose('r2').pose, np.zeros(3), atol=0.1)
+
+
+@pytest.mark.parametrize('between', [(), (430, 460)])
+def test_impossible_odometry_is_counted_once_by_its_own_stamp(between):
+    """Also if scans divide its increment, whose steps have other stamps."""
+    records = [
+        *standing([VIEW] * 10, jumps=[(5, 30.0)]), *(scan('r2', ms, VIEW) for ms in between)]
+
+    estimator, _ = estimate(records)
+
+    assert [(rejection.robot, rejection.stamp, rejection.reason)
+            for rejection in estimator.statistics.rejections] == [
+        ('r2', 500 * MS, RejectionReason.IMPOSSIBLE_MOTION)]
 
 
 @pytest.mark.parametrize(('last', 'others', 'middle', 'reasons'), [

@@ -183,7 +183,9 @@ def test_a_robot_may_leave_between_the_poses_of_a_step_in_which_it_was_observed(
 
     list(smoother.release())
 
-    assert smoother.statistics.rejection_counts['r1'] == {RejectionReason.LOST_ROBOT: 1}
+    # The jump, and the observation after it.
+    assert smoother.statistics.rejection_counts['r1'] == {
+        RejectionReason.IMPOSSIBLE_MOTION: 1, RejectionReason.LOST_ROBOT: 1}
 
 
 def exact(ms, twist_covariance):
