@@ -162,6 +162,8 @@ class PeerSmoother(TeamSmoother):
         if not isinstance(record, RobotScan):
             return super().add(record, received)
         self.statistics.received[record.robot] += 1
+        if record.robot != self.robot:
+            return self.statistics.reject_record(record, RejectionReason.UNKNOWN_ROBOT)
         known = identity(record)
         if self.settings.is_future(record.stamp, received):
             return self.statistics.reject_record(record, RejectionReason.FUTURE)

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.testing import assert_allclose
+import pytest
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
+from fej_slam_ros.core.rejections import RejectionReason
 from helpers.records import odometry, robot_scan, scan, team
 
 #: Landmarks around the straight path of the robot.
@@ -132,3 +134,16 @@ def test_robots_with_different_limits_on_scans_have_the_same_map():
 
     assert len({union.state_hash() for union in maps}) == 1
     assert {union.statistics.observations_used['r1'] for union in maps} == {90}
+
+
+@pytest.mark.parametrize('record', [
+    odometry('r2', 0), scan('r2', 0, [(1, (1.0, 0.0))]),
+    robot_scan('r2', 0, [('r1', (1.0, 0.0))])])
+def test_measurements_of_another_robot_are_not_written_to_the_own_log(record):
+    settings = team('r1', 'r2')
+    own = PeerSmoother(settings, 'r1', TeamLogs('r1', 1, settings.robots[0]), 10**9)
+
+    assert own.add(record) is RejectionReason.UNKNOWN_ROBOT
+
+    assert own.logs.contents('r1').measurements() == []
+    assert own.observed.total() == own.used('r2') == 0
