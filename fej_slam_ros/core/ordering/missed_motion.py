@@ -29,7 +29,7 @@ def pose_text(record: Odometry) -> str:
 
 
 def missed_motion(
-    first: Odometry, second: Odometry, missed: int | None, robot: RobotSettings
+    first: Odometry, period: tuple[Odometry, Odometry], missed: int | None, robot: RobotSettings
 ) -> Motion | str:
     """
     Return the motion from the start to the first odometry, or the reason why it is unknown.
@@ -39,7 +39,8 @@ def missed_motion(
 
     Parameters
     ----------
-    first, second : first two odometry records that arrived
+    first : first odometry record that arrived
+    period : two records in a row, of which the noise and the period of the missed ones are taken
     missed : number of odometry messages sent before, None if it is unknown
     robot : settings, for the noise of odometry without covariance
 
@@ -48,8 +49,8 @@ def missed_motion(
     if missed is None:
         return f'the first odometry received is {at}, and it is unknown how long it had moved'
     received = f'the first odometry received is {at}, after {missed} messages'
-    increment = scaled_increment(first, second, robot)
-    dt = (second.stamp - first.stamp) / NS
+    earlier, later = period
+    increment, dt = scaled_increment(earlier, later, robot), (later.stamp - earlier.stamp) / NS
     duration = missed * dt
     u = without_systematic_errors(first.pose, duration, robot)
     distance, turn = float(np.hypot(*u[:2])), abs(wrap(float(u[2])))

@@ -96,7 +96,8 @@ class EstimatorSession(Session):
 
     def check_starts(self, messages: MissedMessages) -> None:
         """Expect robots that had moved before their first odometry arrives, as in a live run."""
-        self.inputs.start_check = LateStarts(self.estimator, messages, self.log.add)
+        self.inputs.start_check = LateStarts(
+            self.estimator, messages, self.log.add, self.inputs.start_check.held())
 
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""

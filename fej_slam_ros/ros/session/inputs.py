@@ -22,7 +22,7 @@ from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
 from fej_slam_ros.ros.session.input_health import InputHealth, LargeScan
-from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, StartCheck
+from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, HeldOdometry, StartCheck
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
@@ -178,10 +178,11 @@ class Inputs:
             'held': to_plain([*self.time_jump_detector.held], self._consumer.settings),
             **self.frames.snapshot(),
             'mounts': self._mounts.snapshot(),
+            'held_odometry': {
+                robot: [held.missed, [[_bytes(odom), at] for _, odom, at in held.arrived]]
+                for robot, held in self.start_check.held().items()},
             'waiting_scans': {
-                robot: [
-                    [kind, np.frombuffer(serialize(cloud), np.uint8), at]
-                    for kind, cloud, at in scans]
+                robot: [[kind, _bytes(cloud), at] for kind, cloud, at in scans]
                 for robot, scans in self._waiting_scans.items()},
         }
 
@@ -191,6 +192,10 @@ class Inputs:
         self.time_jump_detector.resume(from_plain(stored['held'], self._consumer.settings))
         self.frames.restore(stored)
         self._mounts.restore(stored.get('mounts', {}))
+        self.start_check = StartCheck({
+            robot: HeldOdometry(missed, [
+                _arrived(deserialize(raw.tobytes(), ODOMETRY), robot, at) for raw, at in arrived])
+            for robot, (missed, arrived) in stored.get('held_odometry', {}).items()})
         for robot, scans in stored['waiting_scans'].items():
             self._waiting_scans[robot] = [
                 (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
@@ -245,8 +250,7 @@ class Inputs:
     def _receive_odometry(
         self, robot: RobotSettings, message: Message, received: int | None
     ) -> None:
-        arrived = ArrivedOdometry(incoming.odometry(message, robot.name), message, received)
-        for admitted in self.start_check.admit(arrived):
+        for admitted in self.start_check.admit(_arrived(message, robot.name, received)):
             self._add_odometry(admitted)
 
     def _add_odometry(self, arrived: ArrivedOdometry) -> None:
@@ -330,6 +334,15 @@ class Inputs:
 
     def _reject(self, robot: str, stamp: int, reason: RejectionReason) -> None:
         self._consumer.statistics.reject_message(robot, stamp, reason)
+
+
+def _arrived(message: Message, robot: str, received: int | None) -> ArrivedOdometry:
+    return ArrivedOdometry(incoming.odometry(message, robot), message, received)
+
+
+def _bytes(message: Message) -> Any:
+    """Return a message as an array for a checkpoint."""
+    return np.frombuffer(serialize(message), np.uint8)
 
 
 def _relative(topic: str) -> str:

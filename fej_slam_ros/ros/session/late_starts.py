@@ -3,7 +3,9 @@
 """Start poses of robots that had moved before their first odometry was received."""
 
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
+from types import MappingProxyType
 from typing import NamedTuple, Protocol
 
 from fej_slam_ros.core.estimator import Estimator
@@ -30,6 +32,13 @@ class ArrivedOdometry(NamedTuple):
     received: int | None
 
 
+class HeldOdometry(NamedTuple):
+    """Odometry of a robot that waits for its check, at least one message."""
+
+    missed: int | None  #: number of messages missed before the first one, None if it is unknown
+    arrived: list[ArrivedOdometry]
+
+
 class MissedMessages(Protocol):
     """Knows how many messages were sent on a topic before the first one received."""
 
@@ -46,19 +55,39 @@ class StartCheck:
 
     This one is that of `replay`: a bag is taken to begin where the robots start.
 
+    Parameters
+    ----------
+    held : odometry that was held in an earlier process, by robot
+
     """
+
+    def __init__(self, held: Mapping[str, HeldOdometry] = MappingProxyType({})) -> None:
+        self._held: defaultdict[str, list[ArrivedOdometry]] = defaultdict(
+            list, {robot: of_robot.arrived for robot, of_robot in held.items()})
+        self._numbers_missed = {robot: of_robot.missed for robot, of_robot in held.items()}
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
         """Return the odometry to pass on now; what is held is returned by a later call."""
-        return [arrived]
+        return [*self._held.pop(arrived.record.robot, ()), arrived]
 
     def close(self) -> Iterator[ArrivedOdometry]:
         """Yield the odometry still held at the end of the input."""
-        yield from ()
+        for robot in [*self._held]:
+            yield from self._held.pop(robot)
+
+    def held(self) -> dict[str, HeldOdometry]:
+        """Return the odometry that is held, by robot."""
+        return {
+            robot: HeldOdometry(self._missed(robot), [*held])
+            for robot, held in self._held.items()}
 
     def topics(self) -> list[str]:
         """Return the topics of which the number of missed messages is needed."""
         return []
+
+    def _missed(self, robot: str) -> int | None:
+        """Return the number of messages missed before the first one held, None if unknown."""
+        return self._numbers_missed.get(robot)
 
 
 class LateStarts(StartCheck):
@@ -75,12 +104,15 @@ class LateStarts(StartCheck):
     estimator : receives the odometry
     messages : number of messages missed on each topic
     add_line : adds a line to the log of the run
+    held : as for `StartCheck`
 
     """
 
     def __init__(
-        self, estimator: Estimator, messages: MissedMessages, add_line: AddLine
+        self, estimator: Estimator, messages: MissedMessages, add_line: AddLine,
+        held: Mapping[str, HeldOdometry] = MappingProxyType({}),
     ) -> None:
+        super().__init__(held)
         self._estimator = estimator
         self._messages = messages
         self._add_line = add_line
@@ -88,22 +120,24 @@ class LateStarts(StartCheck):
         self._checked = {
             name for name in estimator.robots
             if estimator.sequencer.newest_odometry(name) is not None}
-        self._held: defaultdict[str, list[ArrivedOdometry]] = defaultdict(list)
+        # The first period of others may be that in which no process ran, so another is measured.
+        self._records_needed = defaultdict(lambda: 2, dict.fromkeys(held, 3))
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
         """Return the odometry to pass on now; what is held is returned by a later call."""
         robot = arrived.record.robot
         if not self._needs_check(robot):
-            return [arrived]
+            return super().admit(arrived)
         held = self._held[robot]
         held.append(arrived)
-        first, missed = held[0].record, self._messages.missed(_topic(robot))
-        later = [other.record for other in held if other.record.stamp > first.stamp]
+        first, missed = held[0].record, self._missed(robot)
         if missed != 0 and not is_at_origin(first):
-            if len(held) < MAX_HELD_ODOMETRY and (not later or missed is None):
+            needed = self._records_needed[robot]
+            records = _in_order(held)[:needed]
+            if len(held) < MAX_HELD_ODOMETRY and (len(records) < needed or missed is None):
                 return []
-            if later:
-                self._start_late(first, later[0], missed)
+            if records[1:]:
+                self._start_late(first, min(pairwise(records), key=_duration), missed)
             else:
                 self._void(robot, f'its first {len(held)} odometry messages have no later stamp')
         self._checked.add(robot)
@@ -120,6 +154,15 @@ class LateStarts(StartCheck):
         """Return the topics of which the number of missed messages is needed."""
         return [_topic(robot) for robot in self._estimator.robots if self._needs_check(robot)]
 
+    def _missed(self, robot: str) -> int | None:
+        """Return the number of messages missed before the first one held, None if unknown."""
+        if robot not in self._numbers_missed:
+            missed = self._messages.missed(_topic(robot))
+            if missed is None:
+                return None
+            self._numbers_missed[robot] = missed
+        return self._numbers_missed[robot]
+
     def _needs_check(self, robot: str) -> bool:
         """Return whether a robot has a start pose that has not been checked yet."""
         settings = self._estimator.settings
@@ -127,9 +170,11 @@ class LateStarts(StartCheck):
             robot == settings.anchor or self._estimator.robots[robot].start_pose is not None)
         return has_start and robot not in self._checked
 
-    def _start_late(self, first: Odometry, second: Odometry, missed: int | None) -> None:
+    def _start_late(
+        self, first: Odometry, period: tuple[Odometry, Odometry], missed: int | None
+    ) -> None:
         robot = first.robot
-        motion = missed_motion(first, second, missed, self._estimator.robots[robot])
+        motion = missed_motion(first, period, missed, self._estimator.robots[robot])
         if isinstance(motion, str):
             self._void(robot, motion)
         else:
@@ -168,6 +213,7 @@ class LateAnchor(StartCheck):
     def __init__(
         self, settings: CommonSettings, messages: MissedMessages, add_line: AddLine
     ) -> None:
+        super().__init__()
         self._anchor = settings.anchor
         self._severity = LogSeverity.WARN if any(settings.anchor_pose) else LogSeverity.INFO
         self._messages = messages
@@ -195,6 +241,19 @@ class LateAnchor(StartCheck):
             self._add_line(self._severity, (
                 f'map begins at the first odometry received of {self._anchor}, {pose_text(first)}:'
                 ' the robot had moved before, and anchor_pose holds there'))
+
+
+def _in_order(held: list[ArrivedOdometry]) -> list[Odometry]:
+    """Return the first record and later ones by their stamps, one for each stamp."""
+    first = held[0].record
+    by_stamp = {
+        other.record.stamp: other.record for other in held if other.record.stamp > first.stamp}
+    return [first, *(by_stamp[stamp] for stamp in sorted(by_stamp))]
+
+
+def _duration(period: tuple[Odometry, Odometry]) -> int:
+    earlier, later = period
+    return later.stamp - earlier.stamp
 
 
 def _topic(robot: str) -> str:

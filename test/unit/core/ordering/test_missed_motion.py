@@ -32,10 +32,9 @@ def moved(steps):
 
 def heard_after(steps, noise=TWIST_COVARIANCE, missed=MISSED, robot=ROBOT):
     """Return the missed motion of a robot heard 0.1 s before and after the end of its steps."""
-    first = moved(steps)
-    second = compose(first, steps[-1])
-    return missed_motion(
-        odometry('r1', 0, first, noise), odometry('r1', 100, second, noise), missed, robot)
+    first = odometry('r1', 0, moved(steps), noise)
+    second = odometry('r1', 100, compose(first.pose, steps[-1]), noise)
+    return missed_motion(first, (first, second), missed, robot)
 
 
 def errors_of(steps):
@@ -86,11 +85,10 @@ def test_odometry_without_covariance_has_the_noise_of_its_robot():
     ((5.0, 0.0, 0.0), 4900, 'its heading has a standard deviation of 0.21 rad'),
     ((5.0, 0.0, 0.0), None, 'it is unknown how long it had moved')])
 def test_a_motion_that_cannot_be_known_has_a_reason(first, missed, reason):
-    second = compose(np.array(first), np.array([0.1, 0.0, 0.0]))
+    begin = odometry('r1', 0, first, TWIST_COVARIANCE)
+    end = odometry('r1', 100, compose(begin.pose, np.array([0.1, 0.0, 0.0])), TWIST_COVARIANCE)
 
-    found = missed_motion(
-        odometry('r1', 0, first, TWIST_COVARIANCE), odometry('r1', 100, second, TWIST_COVARIANCE),
-        missed, ROBOT)
+    found = missed_motion(begin, (begin, end), missed, ROBOT)
 
     assert reason in found
     assert 'first odometry received is' in found
@@ -100,9 +98,11 @@ def test_a_motion_that_cannot_be_known_has_a_reason(first, missed, reason):
     # In 2 s: at three times the speed of the increment, or at 1 m/s.
     (1.0, 5.9, True), (1.0, 6.1, False), (0.1, 1.9, True), (0.1, 2.1, False)])
 def test_the_motion_is_known_if_its_speed_is_plausible(speed, distance, is_known):
-    found = missed_motion(
-        odometry('r1', 0, (distance, 0.0, 0.0), TWIST_COVARIANCE),
-        odometry('r1', 100, (distance + 0.1 * speed, 0.0, 0.0), TWIST_COVARIANCE), 20, ROBOT)
+    first, second = (
+        odometry('r1', ms, (distance + ms / 1000 * speed, 0.0, 0.0), TWIST_COVARIANCE)
+        for ms in (0, 100))
+
+    found = missed_motion(first, (first, second), 20, ROBOT)
 
     assert isinstance(found, Motion) == is_known
 

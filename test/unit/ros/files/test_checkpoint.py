@@ -105,6 +105,45 @@ def test_messages_that_may_be_of_another_pass_are_used_or_counted_after_a_restar
         assert restored.state_hash() == whole.state_hash()
 
 
+class Sent:
+    """The messages of robots of which a listener has missed some at first, as DDS counts them."""
+
+    def __init__(self, number):
+        self.number = number
+
+    def missed(self, _topic):
+        return self.number
+
+    def forget(self, _topic):
+        """Go on."""
+
+
+@pytest.mark.parametrize('cut', range(6))
+def test_odometry_that_waits_for_the_check_of_a_late_start_is_used_after_a_restart(path, cut):
+    known = {'known': [('r2', (1.0, 0.0, 0.0), (0.0, 0.0, 0.0))]}
+    sent = [
+        raw(f'{robot}/odom', odometry_message(ms, (2.0 + ms / 1000, 0.0, 0.0)), ms)
+        for ms in range(0, 300, 100) for robot in ('r1', 'r2')]
+    whole = EstimatorSession(run_settings(**known), None)
+    whole.check_starts(Sent(20))
+    drive(whole, sent)
+
+    saved = EstimatorSession(run_settings(checkpoint=str(path), **known), None)
+    saved.check_starts(Sent(20))
+    drive_on(saved, sent[:cut])
+    saved.save()
+    restored = EstimatorSession(run_settings(restore=str(path), **known), None)
+    restored.check_starts(Sent(20 + cut // 2))
+    drive(restored, sent[cut:])
+
+    assert restored.estimator.used('r1') == restored.estimator.used('r2') == 3
+    for robot in ('r1', 'r2'):
+        estimate, expected = (run.estimator.pose(robot) for run in (restored, whole))
+        assert estimate.frame == 'map'
+        np.testing.assert_allclose(estimate.pose, expected.pose, rtol=0.0, atol=1e-12)
+        np.testing.assert_allclose(estimate.P, expected.P, rtol=1e-9, atol=0.0)
+
+
 @pytest.mark.parametrize('session', [EstimatorSession, SmootherSession])
 def test_a_robot_is_relocalized_at_its_newest_odometry_also_by_the_first_request_after_a_restore(
     path, session

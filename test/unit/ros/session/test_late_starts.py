@@ -120,6 +120,51 @@ def test_a_robot_whose_first_odometry_a_checkpoint_has_starts_at_its_start_pose(
     assert run.log.infos == run.log.warnings == []
 
 
+def test_a_robot_whose_first_odometry_was_held_in_an_earlier_process_starts_there():
+    """The period in which no process ran is not that of the messages that were missed."""
+    known = [('r2', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
+    earlier = LiveRun('r1', 'r2', messages=Messages(r1=0, r2=20), known=known)
+    assert earlier.odom('r2', 0, (2.0, 0.0, 0.0)) == 0
+
+    run = LiveRun('r1', 'r2', messages=Messages(r1=0, r2=30), known=known)
+    run.check = LateStarts(run.estimator, run.messages, run.log.add, earlier.check.held())
+    run.odom('r1', 0, (0.0, 0.0, 0.0))
+    assert run.odom('r2', 1000, (3.0, 0.0, 0.0)) == 0
+    assert run.odom('r2', 1100, (3.1, 0.0, 0.0)) == 3
+
+    estimate = run.pose('r2')
+    np.testing.assert_allclose(estimate.pose, [8.1, 0.0, 0.0], atol=1e-12)
+    # 20 increments of 0.1 s were missed, then came one of 1 s and one of 0.1 s.
+    assert estimate.P[2, 2] == pytest.approx(0.01 * (20 * 0.1**2 + 1.0 + 0.1**2), rel=1e-9)
+    assert '20 messages missed' in run.log.infos[0]
+
+
+@pytest.mark.parametrize('stamps', [(1100, 1000), (1000, 1000, 1100)])
+def test_the_order_of_odometry_after_that_of_an_earlier_process_does_not_matter(stamps):
+    earlier = LiveRun('r1', messages=Messages(r1=20), anchor_pose=(1.0, 0.0, 0.0))
+    earlier.odom('r1', 0, (2.0, 0.0, 0.0))
+
+    run = LiveRun('r1', messages=Messages(r1=30), anchor_pose=(1.0, 0.0, 0.0))
+    run.check = LateStarts(run.estimator, run.messages, run.log.add, earlier.check.held())
+    for ms in stamps:
+        run.odom('r1', ms, (2.0 + ms / 1000, 0.0, 0.0))
+
+    assert run.pose('r1').P[2, 2] == pytest.approx(0.01 * (20 * 0.1**2 + 1.0 + 0.1**2), rel=1e-9)
+
+
+def test_the_check_of_replay_passes_on_what_was_held_in_an_earlier_process():
+    earlier = LiveRun('r1', 'r2', messages=Messages(r1=20, r2=20), known=[
+        ('r2', (5.0, 0.0, 0.0), (0.0, 0.0, 0.0))])
+    for robot in ('r1', 'r2'):
+        earlier.odom(robot, 0, (2.0, 0.0, 0.0))
+    check = StartCheck(earlier.check.held())
+
+    admitted = check.admit(ArrivedOdometry(odometry('r1', 100), None, None))
+
+    assert [(a.record.robot, a.record.stamp) for a in admitted] == [('r1', 0), ('r1', 100 * MS)]
+    assert [(a.record.robot, a.record.stamp) for a in check.close()] == [('r2', 0)]
+
+
 def test_a_start_pose_is_not_used_if_the_motion_since_is_unknown():
     run = LiveRun(
         'r1', 'r2', messages=Messages(r1=0, r2=2),
