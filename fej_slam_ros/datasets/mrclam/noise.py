@@ -14,7 +14,7 @@ from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import command_errors
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, records, STANDSTILL_VARIANCE)
+    ConversionOptions, records, robot_name, STANDSTILL_VARIANCE)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import (
     bearing_offsets, errors_near_truth, observation_errors, ObservationErrors, range_errors,
@@ -129,18 +129,22 @@ def _with_observation_noise(
 
 
 def _correlation_factor(data: MrclamSet, options: ConversionOptions) -> float:
-    """Return the factor of the observations' noise over windows in which errors persist."""
+    """
+    Return the factor of the observations' noise over windows in which errors persist.
+
+    It is the median of the robots: the motion capture of one may be wrong.
+
+    """
     single = replace(options, correlation_factor=1.0)
     observed = [
         record for record in records(data, single, defaultdict(Counter))
         if not isinstance(record, Odometry)]
     errors = normalized_errors(observed, settings(data, single))
-    squared = [
-        d2 for by_robot in errors.values() for of_robot in by_robot.values() for d2 in of_robot]
-    if not squared:
-        return options.correlation_factor
-    found = noise_scale(squared, DOF['landmark'])
-    return max(found.scale, 1.0) if found.is_known() else options.correlation_factor
+    of_robots = [
+        noise_scale(squared, DOF['landmark']) for robot in data.logs
+        if (squared := [d2 for kind in errors.values() for d2 in kind[robot_name(robot)]])]
+    known = [found.scale for found in of_robots if found.is_known()]
+    return max(float(np.median(known)), 1.0) if known else options.correlation_factor
 
 
 def _odometry_variance_factor(data: MrclamSet, options: ConversionOptions) -> float:
