@@ -95,11 +95,12 @@ def test_robots_without_ground_truth_take_part_and_are_not_evaluated(tmp_path):
 
 
 @pytest.mark.slow
-def test_five_real_robots_are_localized_to_decimetres(data):
+def test_five_real_robots_are_localized_as_by_least_squares_with_known_starts(data):
     run = mrclam.run(mrclam.MrclamTask(data / 'mrclam_6', 'fej', robots_seen=True))
 
-    # The requirement; least squares over all with known starts has 0.076 m and 0.059 m.
-    assert run.fitted_position < 0.15
-    assert run.nees < 3.0
+    # That of the data's README has 0.076 m and 0.059 m; 1.3 times as much is the requirement.
+    assert run.fitted_position < 1.3 * 0.076
+    assert run.landmark_rmse < 0.059
+    assert 0.6 < run.nees < 1.6
     assert (run.landmarks, run.true_landmarks) == (15, 15)
     assert min(run.in_map.values()) > 0.9
