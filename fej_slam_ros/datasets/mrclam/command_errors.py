@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fej_slam_ros.core.geometry import Array, Flags, poses_at, wrap_all
+from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
 from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, slowing_rates, speeds,
-    sums_between)
+    sums_between, unknown_motion)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
 from fej_slam_ros.datasets.mrclam.observation_errors import rms, true_poses
 from fej_slam_ros.datasets.mrclam.run_settings import TRUTH_SIGMA
@@ -131,7 +131,7 @@ def _displacements(log: RobotLog, options: ConversionOptions) -> tuple[Array, Ar
     slowed = -steps * slowing_rates(turn_rates)
     driven = np.abs(v) * dt / NS
     sums = sums_between(true.stamps, stamps, np.column_stack([
-        steps.real, steps.imag, slowed.real, slowed.imag, driven, _is_unknown(log, dt),
+        steps.real, steps.imag, slowed.real, slowed.imag, driven, unknown_motion(log),
         increment_variances(log, options)]))
     at_true = np.interp(true.stamps, stamps, headings)
     off = wrap_all(np.diff(true.rows[:, 2]) - np.diff(at_true))
@@ -151,11 +151,6 @@ def _in_windows(log: RobotLog, stamps: Stamps) -> Series:
     true = log.truth.between(stamps[0], stamps[-1])
     windows = (true.stamps - stamps[0]) // round(SPEED_WINDOW * NS)
     return true[np.diff(windows, prepend=-1) > 0]
-
-
-def _is_unknown(log: RobotLog, dt: Stamps) -> Flags:
-    """Return between which commands motion is unknown: in long gaps and where a clock was set."""
-    return (dt > MAX_COMMAND_HOLD) | np.isin(log.commands.stamps[1:], log.joints)
 
 
 def own_turns(data: MrclamSet, options: ConversionOptions) -> dict[int, tuple[float, float]]:

@@ -130,15 +130,23 @@ def odometry(log: RobotLog, options: ConversionOptions) -> tuple[Stamps, Array]:
 def increment_variances(log: RobotLog, options: ConversionOptions) -> Array:
     """Return the variances (n - 1, 3) of the increments (x, y, phi) of odometry [m^2, rad^2]."""
     dt = np.diff(log.commands.stamps)[:, None] / NS
-    at_joint = np.isin(log.commands.stamps[1:], log.joints)
     speeds, noise = np.abs(log.commands.rows), options.noise
     rates = speeds[:-1] @ np.array([noise.position, (0.0, 0.0), noise.heading]).T
     variances: Array = dt * (STANDSTILL_VARIANCE + rates)
-    unknown = at_joint | (dt[:, 0] > MAX_COMMAND_HOLD / NS)
+    unknown, at_joint = unknown_motion(log), _at_joint(log)
     unknown_time = dt[unknown] + at_joint[unknown, None] * JOINT_TIME / NS
     v, w = speeds.max(axis=0)
     variances[unknown] += np.square(unknown_time * [v, v, w])
     return variances
+
+
+def unknown_motion(log: RobotLog) -> Flags:
+    """Return between which commands (n - 1,) motion is unknown: in long gaps, at set clocks."""
+    return (np.diff(log.commands.stamps) > MAX_COMMAND_HOLD) | _at_joint(log)
+
+
+def _at_joint(log: RobotLog) -> Flags:
+    return np.isin(log.commands.stamps[1:], log.joints)
 
 
 def sums_between(edges: Stamps, stamps: Stamps, amounts: Array) -> Array:

@@ -6,19 +6,19 @@ from collections import Counter, defaultdict
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar, nnls
+from scipy.optimize import nnls
 
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, noise_scale, noise_scales, normalized_errors)
 from fej_slam_ros.core.records import Odometry, TruePose
-from fej_slam_ros.datasets.mrclam import command_errors
+from fej_slam_ros.datasets.mrclam import command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, records, robot_name, STANDSTILL_VARIANCE)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import (
-    bearing_offsets, errors_near_truth, observation_errors, ObservationErrors, range_errors,
-    sigmas, without_systematic_errors)
+    bearing_offsets, errors_near_truth, ObservationErrors, range_errors, sigmas,
+    without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.run_settings import settings
 
 #: Minimum number of windows for the growth of errors, and of observations of a kind, for an
@@ -29,8 +29,6 @@ GROWTH_WINDOW = 5.0
 #: Standard deviation of the growth of errors per metre and per radian, relative to that of set 6
 #: times a common factor.
 RATIO_SIGMA = 0.3
-#: Upper bound of the delay of a camera, and its standard deviation where no robot turns [s].
-MAX_CAMERA_DELAY, CAMERA_DELAY_SIGMA = 0.2, 0.05
 #: Iterations of the reweighted least squares for the growth of errors, enough to converge.
 REWEIGHTINGS = 10
 #: Odometry as the commands state.
@@ -50,21 +48,19 @@ def measured_options(
     """Return the options with measured delays and scale, unless given, and the remaining noise."""
     if motion_delay is None:
         motion_delay = command_errors.motion_delay(data, AS_COMMANDED)
-    options = ConversionOptions(motion_delay, thin=thin)
-    if odometry_scale is None:
-        as_commanded = replace(AS_COMMANDED, motion_delay=motion_delay)
-        options = _with_forward_speed(data, options, command_errors.turn_ratio(data, as_commanded))
-    else:
-        options = replace(options, odometry_scale=odometry_scale, slowdown=0.0)
-    options = replace(options, own_turns=own_turns(data, options))
+    options = ConversionOptions(motion_delay=motion_delay, thin=thin)
+    as_commanded = replace(AS_COMMANDED, motion_delay=motion_delay)
+    turn_ratio = command_errors.turn_ratio(data, as_commanded)
+    options = _with_speeds(data, options, turn_ratio, odometry_scale)
     windows, usual = increments(data, options, GROWTH_WINDOW), options.noise
     noise = replace(
         usual, position=_growth(windows, 0, usual.position),
         heading=_growth(windows, 2, usual.heading))
     if camera_delay is None:
-        camera_delay = _camera_delay(data, options)
+        camera_delay = observation_errors.camera_delay(data, options)
     options = replace(options, noise=noise, camera_delay=camera_delay)
-    options = _with_observation_noise(options, *observation_errors(data, options.camera_delay))
+    options = _with_observation_noise(
+        options, *observation_errors.observation_errors(data, camera_delay))
     return replace(options, correlation_factor=_correlation_factor(data, options))
 
 
@@ -87,11 +83,7 @@ def best_options(
         options = replace(options, motion_delay=motion_delay)
     if camera_delay is not None:
         options = replace(options, camera_delay=camera_delay)
-    if odometry_scale is None:
-        options = _with_forward_speed(data, options, options.odometry_scale[1])
-    else:
-        options = replace(options, odometry_scale=odometry_scale, slowdown=0.0)
-    options = replace(options, own_turns=own_turns(data, options))
+    options = _with_speeds(data, options, options.odometry_scale[1], odometry_scale)
     factor = _odometry_variance_factor(data, options)
     noise = replace(
         options.noise, position=_scaled(options.noise.position, factor),
@@ -101,12 +93,19 @@ def best_options(
         noise.bearing)
 
 
-def _with_forward_speed(
-    data: MrclamSet, options: ConversionOptions, turn_ratio: float
+def _with_speeds(
+    data: MrclamSet, options: ConversionOptions, turn_ratio: float,
+    given: tuple[float, float] | None,
 ) -> ConversionOptions:
-    options = replace(options, odometry_scale=(options.odometry_scale[0], turn_ratio))
-    ratio, slowdown = command_errors.forward_speed(data, options)
-    return replace(options, odometry_scale=(ratio, turn_ratio), slowdown=slowdown)
+    """Return options with the speeds to which commands lead, measured unless given."""
+    if given is None:
+        ahead, _ = options.odometry_scale
+        options = replace(options, odometry_scale=(ahead, turn_ratio))
+        ahead, slowdown = command_errors.forward_speed(data, options)
+        options = replace(options, odometry_scale=(ahead, turn_ratio), slowdown=slowdown)
+    else:
+        options = replace(options, odometry_scale=given, slowdown=0.0)
+    return replace(options, own_turns=own_turns(data, options))
 
 
 def _with_observation_noise(
@@ -162,22 +161,6 @@ def _odometry_variance_factor(data: MrclamSet, options: ConversionOptions) -> fl
 def _scaled(variances: tuple[float, float], factor: float) -> tuple[float, float]:
     driving, turning = variances
     return factor * driving, factor * turning
-
-
-def _camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
-    """Return the delay [s] with which bearings fit the true poses best, drawn to the usual one."""
-    usual, sigma = options.camera_delay, options.noise.bearing
-    count = sum(len(log.observations) for log in data.logs.values())
-
-    def cost(delay: float) -> float:
-        landmarks, _ = observation_errors(data, delay)
-        errors = without_systematic_errors(landmarks, bearing_offsets(landmarks), {})
-        inliers = errors.where(~errors.outliers())
-        fit = count * np.square(inliers.bearings / sigma).mean() if len(inliers.bearings) else 0.0
-        return float(fit + ((delay - usual) / CAMERA_DELAY_SIGMA) ** 2)
-
-    bounds = 0.0, MAX_CAMERA_DELAY
-    return float(minimize_scalar(cost, bounds=bounds, options={'xatol': 1e-3}).x)
 
 
 def _growth(

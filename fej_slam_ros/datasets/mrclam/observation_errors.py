@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import math
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at, wrap_all
 from fej_slam_ros.core.models import h
@@ -33,6 +34,8 @@ MIN_SIGMA = 1e-3
 OFFSET_WINDOW = 60.0
 #: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
 RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
+#: Upper bound of the delay of a camera, and its standard deviation where no robot turns [s].
+MAX_CAMERA_DELAY, CAMERA_DELAY_SIGMA = 0.2, 0.05
 #: Lags [s] between which errors of one robot and one subject are correlated.
 LAGS = ((0.0, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0))
 
@@ -158,6 +161,22 @@ def range_errors(
             offset, per_metre = np.linalg.solve(N, A.T @ b / variance).tolist()
             found[robot] = offset, per_metre
     return found
+
+
+def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
+    """Return the delay [s] with which bearings fit the true poses best, drawn to the usual one."""
+    usual, sigma = options.camera_delay, options.noise.bearing
+    count = sum(len(log.observations) for log in data.logs.values())
+
+    def cost(delay: float) -> float:
+        landmarks, _ = observation_errors(data, delay)
+        errors = without_systematic_errors(landmarks, bearing_offsets(landmarks), {})
+        inliers = errors.where(~errors.outliers())
+        fit = count * np.square(inliers.bearings / sigma).mean() if len(inliers.bearings) else 0.0
+        return float(fit + ((delay - usual) / CAMERA_DELAY_SIGMA) ** 2)
+
+    bounds = 0.0, MAX_CAMERA_DELAY
+    return float(minimize_scalar(cost, bounds=bounds, options={'xatol': 1e-3}).x)
 
 
 def without_systematic_errors(
