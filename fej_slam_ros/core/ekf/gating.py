@@ -24,9 +24,11 @@ MEDIAN_D2 = float(chdtri(2, 0.5))
 MIN_KNOWN = 3
 MIN_TRUSTED = 2
 
-#: Squared distance beyond which an observation contradicts the map: one correct observation in
-#: 1e9. The gate alone is not enough: where an overconfident robot closes a loop, whole scans fail.
-CONTRADICTION_D2 = float(chdtri(2, 1e-9))
+#: Probability with which correct observations count as contradicting, and the squared distance
+#: beyond which one contradicts the map. The gate alone is not enough: where an overconfident robot
+#: closes a loop, whole scans fail.
+CONTRADICTION_PROBABILITY = 1e-9
+CONTRADICTION_D2 = float(chdtri(2, CONTRADICTION_PROBABILITY))
 
 #: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60

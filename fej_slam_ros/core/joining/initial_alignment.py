@@ -18,6 +18,7 @@ from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
 from scipy.special import chdtri
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.ekf.gating import CONTRADICTION_PROBABILITY
 from fej_slam_ros.core.ekf.linearization import Points, Poses
 from fej_slam_ros.core.gauss_newton import ConvergenceError, gauss_newton
 from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap_all
@@ -38,8 +39,6 @@ MAX_STEP0_ITERATIONS = 100
 MIN_DECREASE = 1e-22
 #: Smallest increment of a coordinate that rounding allows, relative to the coordinate.
 RELATIVE_PRECISION = 16 * float(np.finfo(float).eps)
-#: Tail probability of the cost beyond which some observations are wrong.
-CONTRADICTION_PROBABILITY = 1e-9
 
 
 class InitialAlignmentError(ArithmeticError):
