@@ -312,7 +312,6 @@ class Sequencer:
         self._released = stamp if self._released is None else max(stamp, self._released)
         arrivals, motions = [], []
         for name, queue in present.items():
-            end = queue.odometry.needed_for(stamp)
             motion = queue.advance(stamp)
             if motion is None:
                 arrivals.append(name)
@@ -320,6 +319,7 @@ class Sequencer:
             motions.append(motion)
             if motion.impossible:
                 # Of the message: a scan that divides its increment is earlier.
+                end = queue.odometry.used_for(stamp)
                 self._statistics.reject(Rejection(name, end, RejectionReason.IMPOSSIBLE_MOTION))
         odometry = {name: queue.odometry.pose for name, queue in present.items()}
         return Step(
