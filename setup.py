@@ -56,7 +56,6 @@ setup(
     zip_safe=False,
     python_requires='>=3.10',
     install_requires=[
-        'networkx>=2.8',
         'numpy>=1.26',
         'rosbags>=0.11.9,<0.12',
         'ruamel.yaml>=0.17',

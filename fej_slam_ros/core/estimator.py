@@ -233,8 +233,9 @@ class Estimator(TeamInput):
         # All count as used; a rejection of a single one subtracts it again.
         for scan in scans:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
-        self._quarantine.restart_lost(
-            [scan.robot for scan in step.scans], step.stamp, self.settings.join_min_landmarks)
+        observers = [scan.robot for scan in step.scans]
+        self._quarantine.restart_lost(observers, step.stamp, self.settings.join_min_landmarks)
+        self._quarantine.restart_ambiguous(observers, step.stamp)
         self._joiner.join(lost_robots.on_probation())
         lost_robots.mark_found(self.groups.team.robots)
         self.truth.keep_rendezvous_points(
@@ -268,11 +269,15 @@ class Estimator(TeamInput):
         self, group: FrameGroup, scans: Iterable[Scan], used_up: Collection[LandmarkKey]
     ) -> tuple[list[AssociatedScan], list[Association]]:
         """Return the scans of a group with IDs for all observations, and those for the update."""
+        lost_robots = self.innovations.lost_robots
         associated, associations = [], []
         for scan in scans:
             if scan.robot in group.robots:
                 known = self._quarantine.restrict_suspected(
                     group, self.landmark_manager.associate(group.filter, self._matcher, scan))
+                lost_robots.add_matches(
+                    scan.robot, len(known.doubtful),
+                    known.matched + len(known.with_ids.observations))
                 for observation in known.doubtful:
                     self.statistics.reject_observation(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))

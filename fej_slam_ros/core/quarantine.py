@@ -17,6 +17,7 @@ from fej_slam_ros.core.data_association.wrong_landmarks import remove_untrusted
 from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
+from fej_slam_ros.core.data_association.constellations import can_be_found
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import Motion, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -100,6 +101,20 @@ class Quarantine:
                 reason = f'likely lost, {self._lost_robots.reason(robot)}'
                 self._lost_robots.restart(robot)
                 self._restart(robot, stamp, reason)
+
+    def restart_ambiguous(self, robots: Iterable[str], stamp: int) -> None:
+        """
+        Restart robots whose observations without ID fit several places, if they can join again.
+
+        They are sure of nothing in this frame, but can map in a frame of their own, which is
+        compared as a whole.
+
+        """
+        for robot in robots:
+            observations = self._lost_robots.ambiguous(robot)
+            if observations and can_be_found(self._groups.of(robot).state):
+                self._restart(
+                    robot, stamp, f'{observations} observations in a row fit several landmarks')
 
     def restrict_suspected(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
         """

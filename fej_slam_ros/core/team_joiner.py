@@ -17,7 +17,8 @@ from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.joining.constellations import any_without_id, with_shared_landmarks
+from fej_slam_ros.core.data_association.constellations import (
+    count_without_id, MIN_MATCHES, renamed, shared_landmarks)
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner
@@ -37,6 +38,8 @@ from fej_slam_ros.core.settings import Settings
 #: attempts to join groups that share so many variables; the cost of one grows with their cube.
 COMPARISON_PERIOD = NS
 VARIABLES_OF_PERIOD = 200
+#: Of so many matches of landmarks without ID, one may be left out since it does not fit.
+MATCHES_OF_MISFIT = 3
 #: Longest time between two attempts [ns].
 MAX_PAUSE = 60 * NS
 
@@ -201,7 +204,7 @@ class TeamJoiner:
         """Join another group to a group; on failure, remove what contradicts the rest."""
         failure = self._join_by_shared(group, other)
         if failure is not None and not failure.has_outliers() and all(
-                any_without_id(frame_group.state) for frame_group in (group, other)):
+                count_without_id(frame_group.state) for frame_group in (group, other)):
             failure = self._join_by_constellation(group, other)
         if failure is None:
             self._groups.merge(group, other)
@@ -244,10 +247,17 @@ class TeamJoiner:
         compared_at, reason = self._compared.get(names, (-COMPARISON_PERIOD, ''))
         if 0 <= newest - compared_at < COMPARISON_PERIOD:
             return JoinFailure(reason)
-        found = with_shared_landmarks(group.state, other.state)
-        failure = found if isinstance(found, JoinFailure) else None
-        if not isinstance(found, JoinFailure):
-            before, other.filter.state = other.state, found
+        before, found = other.state, shared_landmarks(group.state, other.state)
+        failure: JoinFailure | None
+        if isinstance(found, JoinFailure):
+            failure = found
+        else:
+            other.filter.state = renamed(before, found)
+            # A landmark may look different from elsewhere, or be the neighbour of the right one.
+            most = min(len(found) // MATCHES_OF_MISFIT, len(found) - MIN_MATCHES)
+            misfits = self._joiner.misfits(group.filter, other.filter, most)
+            other.filter.state = renamed(
+                before, {old: new for old, new in found.items() if new not in misfits})
             failure = self._joiner.join(group.filter, other.filter)
             if failure is not None:
                 other.filter.state = before

@@ -52,10 +52,10 @@ NO_SIDE_EFFECTS = (
 )
 
 
-def in_core(*others: str, of_others: str = '') -> Rule:
-    """Return the rule of a part of core that uses some other parts of it, and other packages."""
+def in_core(*others: str) -> Rule:
+    """Return the rule of a part of core that uses some other parts of it."""
     parts = ' '.join(f'fej_slam_ros.core.{other}' for other in others)
-    return Rule(f'{BASIC} {parts} {of_others}', NO_SIDE_EFFECTS)
+    return Rule(f'{BASIC} {parts}', NO_SIDE_EFFECTS)
 
 
 NO_ALGEBRA = 'numpy.dot numpy.einsum numpy.linalg numpy.matmul operator.matmul scipy'
@@ -65,7 +65,6 @@ RULES = {
     # The kernel is chosen once, at import, by an environment variable.
     'core/ekf/kernel.py': Rule(BASIC, NO_SIDE_EFFECTS.replace(' os ', ' ')),
     'core/ekf/': in_core('ekf'),
-    'core/joining/constellations.py': in_core('joining', 'ekf', of_others='networkx'),
     'core/joining/': in_core('joining', 'ekf'),
     'core/data_association/': in_core('data_association', 'ekf'),
     'core/smoothing/': in_core('smoothing', 'ekf'),

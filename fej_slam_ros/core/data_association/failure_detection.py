@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of lost robots: most of their scans fail the gate."""
+"""Detection of lost robots: most of their scans fail the gate, or fit several places."""
 
 from collections.abc import Container
 
@@ -16,6 +16,10 @@ MAX_FAILED_SCANS = 9
 #: Number of scans in a row that cannot tell whether a suspected robot is where it is estimated,
 #: after which it maps again. Otherwise one wrong scan before unknown ground would end its map.
 MAX_INCONCLUSIVE = 10
+
+#: Numbers of scans and of observations without ID in a row that all fit several landmarks, after
+#: which a robot maps anew. Where a robot is not lost, two such scans in a row are rare.
+AMBIGUOUS_SCANS, AMBIGUOUS_OBSERVATIONS = 5, 15
 
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
 PROBATION = 20
@@ -34,6 +38,7 @@ class LostRobotDetector:
     def __init__(self) -> None:
         self._failed: dict[str, list[ScanGateStatistics]] = {}
         self._inconclusive: dict[str, int] = {}
+        self._ambiguous: dict[str, tuple[int, int]] = {}
         self._restarted: dict[str, str] = {}
         self._probation: dict[str, int] = {}
 
@@ -50,6 +55,14 @@ class LostRobotDetector:
                 self.add_inconclusive(robot)
             if robot in self._probation:
                 self._continue_probation(robot, scan)
+
+    def add_matches(self, robot: str, doubtful: int, used: int) -> None:
+        """Add a scan of which some observations were doubtful, and some were used."""
+        if used:
+            self._ambiguous.pop(robot, None)
+        elif doubtful:
+            scans, observations = self._ambiguous.get(robot, (0, 0))
+            self._ambiguous[robot] = scans + 1, observations + doubtful
 
     def add_inconclusive(self, robot: str) -> None:
         """Add a scan of a suspected robot with too few known landmarks to check its pose."""
@@ -76,6 +89,7 @@ class LostRobotDetector:
 
     def forget_scans(self, robot: str) -> None:
         """End the suspicion that a robot is lost."""
+        self._ambiguous.pop(robot, None)
         self._failed.pop(robot, None)
         self._inconclusive.pop(robot, None)
 
@@ -88,6 +102,12 @@ class LostRobotDetector:
         scans = self._failed.get(robot, [])
         return len(scans) >= LOST_AFTER and (
             sum(scan.failed for scan in scans) >= MIN_CONTRADICTIONS)
+
+    def ambiguous(self, robot: str) -> int:
+        """Return how many observations in a row fit several places, 0 until they are enough."""
+        scans, observations = self._ambiguous.get(robot, (0, 0))
+        is_enough = scans >= AMBIGUOUS_SCANS and observations >= AMBIGUOUS_OBSERVATIONS
+        return observations if is_enough else 0
 
     def on_probation(self) -> dict[str, str]:
         """Return why robots that were lost may not join ``map`` yet."""

@@ -48,6 +48,12 @@ class MatchingResult:
     doubtful: Sequence[int]  #: ambiguous observations
     candidates: Sequence[Landmark]  #: possible landmarks of the ambiguous observations
 
+    def without_matches(self) -> 'MatchingResult':
+        """Return the result with all matched observations as ambiguous ones."""
+        return MatchingResult(
+            {}, self.new, sorted([*self.doubtful, *self.landmarks]),
+            [*self.candidates, *self.landmarks.values()])
+
 
 @dataclass(frozen=True, slots=True)
 class Hypothesis:

@@ -15,6 +15,7 @@ import math
 
 import numpy as np
 
+from fej_slam_ros.core.data_association.constellations import can_be_found
 from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
 from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.ekf.filter import Filter
@@ -86,6 +87,7 @@ class AssociatedScan:
 
     with_ids: Scan  #: the observations that had an ID
     associated: Scan  #: those without, with the ID of an existing or of a new landmark
+    matched: int = 0  #: number of the associated ones that are of an existing landmark
     #: those without an unambiguous association, which are not used
     doubtful: Sequence[Observation] = ()
     candidates: Sequence[Landmark] = ()  #: landmarks that the doubtful ones may be of
@@ -121,6 +123,10 @@ class LandmarkManager:
         result = matcher.match(
             state, filter_.linearization, robot, unknown, landmarks,
             _log_odds(view, state, robot, landmarks, len(unknown)))
+        # A linear update cannot correct the heading by so much, a join can.
+        if robot.turn_variance > filter_.linearization.max_turn_sigma_without_ids ** 2 and (
+                can_be_found(state)):
+            result = result.without_matches()
         matched = [
             replace(unknown[i], id=landmark.key[1]) for i, landmark in result.landmarks.items()]
         new = [replace(unknown[i], id=self._new_id()) for i in result.new]
@@ -128,7 +134,7 @@ class LandmarkManager:
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return AssociatedScan(
             replace(scan, observations=with_ids), replace(scan, observations=(*matched, *new)),
-            doubtful, result.candidates)
+            len(matched), doubtful, result.candidates)
 
     def update_tentative(self, filter_: Filter, scan: AssociatedScan) -> None:
         """Confirm, delete and merge landmarks by a scan that the filter has been updated with."""

@@ -47,6 +47,8 @@ class Linearization:
     supports_submaps: ClassVar[bool] = True  #: whether no state outside the submap is corrected
     #: standard deviation [rad] of a robot's turn by odometry alone up to which it is linearised
     max_turn_sigma: ClassVar[float] = MAX_LINEAR_HEADING_SIGMA
+    #: the same where it has to be corrected by observations without IDs, all at once
+    max_turn_sigma_without_ids: ClassVar[float] = 0.1
 
     def __init__(self, truth: Truth | None = None) -> None:
         """Construct the policy."""
@@ -244,7 +246,7 @@ class Invariant(Linearization):
     #: `retract` moves every landmark that a corrected robot owns.
     supports_submaps = False
     #: Errors of 1.4 rad are corrected at once; a standard deviation of 1 rad reaches half a turn.
-    max_turn_sigma = 1.0
+    max_turn_sigma = max_turn_sigma_without_ids = 1.0
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int

@@ -7,14 +7,15 @@ Each shared variable x, x' in the other frame, gives the condition x = g o x' on
 g = (t, alpha) of that frame.
 """
 
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from fej_slam_ros.core.ekf.state import (
-    JointState, POSITION, position_indices, RendezvousPoint, Robot, Variable)
+    JointState, Landmark, POSITION, position_indices, RendezvousPoint, Robot, Variable)
 from fej_slam_ros.core.geometry import (
     Array, compose, inverse, perpendicular, poses_plus, rigid_fit, transform, wrap_all)
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
@@ -103,19 +104,28 @@ class FrameFit:
 
     def worst_rendezvous_point(self) -> tuple[RendezvousKey | None, float]:
         """Return the rendezvous point without which chi2 is least, and the decrease of chi2."""
+        return max(
+            ((variable.key, decrease) for variable, decrease in self._decreases_of_chi2()
+             if isinstance(variable, RendezvousPoint)),
+            key=itemgetter(1), default=(None, 0.0))
+
+    def worst_landmark(self) -> LandmarkKey:
+        """Return the landmark without which chi2 is least."""
+        key, _ = max(
+            ((variable.key, decrease) for variable, decrease in self._decreases_of_chi2()
+             if isinstance(variable, Landmark)), key=itemgetter(1))
+        return key
+
+    def _decreases_of_chi2(self) -> Iterator[tuple[Variable, float]]:
+        """Yield the shared variables, and by how much chi2 decreases without each."""
         weight = cho_solve(self.S_factor, np.eye(len(self.r)))
         weight -= weight @ self.D @ self.P @ self.D.T @ weight
-        weighted = weight @ self.r
-        worst, largest, start = None, 0.0, 0
+        weighted, start = weight @ self.r, 0
         for variable in self.shared:
             own = slice(start, start + variable.slot.size)
             start = own.stop
-            if isinstance(variable, RendezvousPoint):
-                left_out, *_ = np.linalg.lstsq(weight[own, own], weighted[own], rcond=None)
-                drop = float(weighted[own] @ left_out)
-                if drop > largest:
-                    worst, largest = variable.key, drop
-        return worst, largest
+            left_out, *_ = np.linalg.lstsq(weight[own, own], weighted[own], rcond=None)
+            yield variable, float(weighted[own] @ left_out)
 
 
 def shared_variables(

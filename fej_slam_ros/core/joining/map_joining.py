@@ -10,6 +10,7 @@ contain no information about the global position and heading; that depends on th
 points, which the policy chooses.
 """
 
+from collections.abc import Sequence
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
@@ -32,6 +33,7 @@ from fej_slam_ros.core.joining.outlying_landmarks import (
 from fej_slam_ros.core.joining.rendezvous_points import marginalize
 from fej_slam_ros.core.pieces import EndedError, pause, PIECE_FLOPS, product, ranges
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
+from fej_slam_ros.core.records import LandmarkKey
 
 
 #: Without a landmark that was observed once, the others may determine the heading this many times
@@ -88,6 +90,22 @@ class MapJoiner:
         for key in keys:
             team.state.landmarks[key].is_reobserved = True
         return None
+
+    def misfits(self, team: Filter, group: Filter, most: int) -> Sequence[LandmarkKey]:
+        """
+        Return shared landmarks without which the others fit; none if these are more than `most`.
+
+        One after the other, that without which chi-square is least.
+
+        """
+        _, theirs = shared_variables(team.state, group.state)
+        local = _from_first_robot(group, theirs)
+        left_out: list[LandmarkKey] = []
+        while (found := fit(team.state, local, left_out)).chi2 > chdtri(found.dof, self._tail):
+            if len(left_out) == most:
+                return []
+            left_out.append(found.worst_landmark())
+        return left_out
 
     def _contradiction(
         self, team: Filter, ours: Variables, local: JointState, found: FrameFit, shared: str,

@@ -51,6 +51,15 @@ def test_in_a_consistent_run_no_landmark_or_robot_is_suspected(seed):
     assert not estimator.innovations.lost_robots.reason('r2')
 
 
+def test_a_robot_is_ambiguous_after_five_scans_and_fifteen_observations_until_one_is_used():
+    lost, observations = LostRobotDetector(), []
+    for doubtful, used in [(4, 0), (4, 0), (4, 1), *[(4, 0)] * 3, (0, 0), (2, 0), (2, 0), (1, 3)]:
+        lost.add_matches('r1', doubtful, used)
+        observations.append(lost.ambiguous('r1'))
+
+    assert observations == [0, 0, 0, 0, 0, 0, 0, 0, 16, 0]
+
+
 def test_a_robot_is_lost_after_three_failed_scans_until_one_passes():
     lost = LostRobotDetector()
     reasons = []

@@ -287,6 +287,18 @@ def test_a_fifth_of_the_shared_landmarks_may_contradict_the_others(shared, moved
     assert_allclose(into.state.estimate(into.state.robots['r2'])[:2], g[:2], atol=0.5)
 
 
+@pytest.mark.parametrize(('most', 'found'), [(3, [0, 4]), (2, [0, 4]), (1, [])])
+def test_the_landmarks_without_which_the_others_fit_are_named_unless_too_many(most, found):
+    team, group, _ = two_maps(shared=8)
+    filters = [Filter(state, FirstEstimates(), Gate(0.999)) for state in (team, group)]
+    for number in (0, 4):
+        group.x_hat[group.landmarks['', number].slot.indices] += 1.0
+
+    misfits = MapJoiner(3, 0.999).misfits(*filters, most)
+
+    assert sorted(misfits) == [('', number) for number in found]
+
+
 def test_errors_that_all_landmarks_share_hide_no_outlier():
     team, group, _ = two_maps(shared=12)
     wrong = ('', 3)

@@ -8,7 +8,7 @@ import pytest
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.geometry import inverse, transform
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.joining.constellations import with_shared_landmarks
+from fej_slam_ros.core.data_association.constellations import renamed, shared_landmarks
 
 G = np.array([4.0, -3.0, 2.0])
 SIGMA = 0.03
@@ -34,14 +34,14 @@ def two_maps(shared, only_ours=NOTHING_ELSE, only_theirs=NOTHING_ELSE, seed=0):
     rng = np.random.default_rng(seed)
     ours = map_of(np.vstack([shared, only_ours]), -2, rng)
     theirs = transform(inverse(G), rng.permutation(np.vstack([shared, only_theirs])))
-    return ours, map_of(theirs, -100, rng, 'r2')
+    return ours, map_of(theirs, -1000, rng, 'r2')
 
 
-def random_points(n, seed):
+def random_points(n, seed, half_width=8.0):
     """Return points (n, 2) at least 1 m from each other."""
     rng, points = np.random.default_rng(seed), np.empty((0, 2))
     while len(points) < n:
-        point = rng.uniform(-8.0, 8.0, 2)
+        point = rng.uniform(-half_width, half_width, 2)
         if np.hypot(*(points - point).T).min(initial=np.inf) > 1.0:
             points = np.vstack([points, point])
     return points
@@ -56,9 +56,10 @@ def test_the_same_landmarks_get_the_same_keys(seed):
     points = random_points(16, seed)
     ours, theirs = two_maps(points[:6], points[6:11], points[11:], seed)
 
-    found = with_shared_landmarks(ours, theirs)
+    keys = shared_landmarks(ours, theirs)
 
-    assert isinstance(found, JointState), found.reason
+    assert not isinstance(keys, JoinFailure), keys.reason
+    found = renamed(theirs, keys)
     shared = found.landmarks.keys() & ours.landmarks.keys()
     assert len(shared) == 6
     for key in shared:
@@ -68,10 +69,25 @@ def test_the_same_landmarks_get_the_same_keys(seed):
     assert theirs.landmarks.keys().isdisjoint(ours.landmarks.keys())
 
 
+@pytest.mark.parametrize('seed', range(5))
+def test_a_few_landmarks_are_found_in_a_large_map(seed):
+    """Those that were observed first, and beside as many that the large map does not have."""
+    points = random_points(116, seed, half_width=30.0)
+    near = np.argsort(np.hypot(*points.T))
+    shared, only_theirs, only_ours = np.split(points[near], [8, 16])
+    ours, theirs = two_maps(shared, only_ours, only_theirs, seed)
+
+    keys = shared_landmarks(ours, theirs)
+
+    assert not isinstance(keys, JoinFailure), keys.reason
+    assert len(keys) >= 7
+    assert {*keys.values()} <= {('', -2 - k) for k in range(8)}
+
+
 def test_a_renamed_map_is_otherwise_the_same():
     ours, theirs = two_maps(random_points(7, 0))
 
-    found = with_shared_landmarks(ours, theirs)
+    found = renamed(theirs, shared_landmarks(ours, theirs))
 
     np.testing.assert_array_equal(found.estimates(), theirs.estimates())
     np.testing.assert_array_equal(
@@ -95,7 +111,7 @@ HALF = np.add(random_points(5, 3), [9.0, 0.0])
 def test_symmetric_and_repeated_landmarks_are_refused(ours, theirs):
     rng = np.random.default_rng(0)
 
-    failure = with_shared_landmarks(
+    failure = shared_landmarks(
         map_of(ours, -2, rng), map_of(transform(inverse(G), theirs), -100, rng, 'r2'))
 
     assert isinstance(failure, JoinFailure)
@@ -107,31 +123,31 @@ def test_maps_of_different_places_have_nothing_in_common(seed):
     points = random_points(24, seed)
     ours, theirs = two_maps(NOTHING_ELSE, points[:12], points[12:], seed)
 
-    assert isinstance(with_shared_landmarks(ours, theirs), JoinFailure)
+    assert isinstance(shared_landmarks(ours, theirs), JoinFailure)
 
 
 def test_mirrored_landmarks_are_not_the_same():
     points, rng = random_points(8, 0), np.random.default_rng(0)
 
-    failure = with_shared_landmarks(
+    failure = shared_landmarks(
         map_of(points, -2, rng), map_of(points * [1.0, -1.0], -100, rng, 'r2'))
 
     assert isinstance(failure, JoinFailure)
 
 
 def test_too_few_landmarks_are_named():
-    failure = with_shared_landmarks(*two_maps(random_points(4, 0)))
+    failure = shared_landmarks(*two_maps(random_points(4, 0)))
 
     assert failure.reason == '4 landmarks without ID, needs 5'
 
 
 @pytest.mark.parametrize('shared', [0, 4])
-def test_the_most_landmarks_that_fit_another_map_are_named_if_they_are_too_few(shared):
+def test_fewer_than_five_landmarks_that_fit_another_map_are_named(shared):
     # No two distances to these landmarks are equal.
     alone = np.column_stack([100.0 * 2.0 ** np.arange(10), np.zeros(10)])
     ours, theirs = two_maps(random_points(4, 0)[:shared], alone[:5], alone[5:])
 
-    failure = with_shared_landmarks(ours, theirs)
+    failure = shared_landmarks(ours, theirs)
 
     assert failure.reason == (
-        f'{shared} landmarks without ID are where another map has some, needs 5')
+        'fewer than 5 landmarks without ID are where another map has some')
