@@ -273,11 +273,9 @@ class Estimator(TeamInput):
         associated, associations = [], []
         for scan in scans:
             if scan.robot in group.robots:
-                known = self._quarantine.restrict_suspected(
-                    group, self.landmark_manager.associate(group.filter, self._matcher, scan))
-                lost_robots.add_matches(
-                    scan.robot, len(known.doubtful),
-                    known.matched + len(known.with_ids.observations))
+                known = self.landmark_manager.associate(group.filter, self._matcher, scan)
+                lost_robots.add_matches(scan.robot, known.statistics)
+                known = self._quarantine.restrict_suspected(group, known)
                 for observation in known.doubtful:
                     self.statistics.reject_observation(Rejection(
                         scan.robot, scan.stamp, RejectionReason.DOUBTFUL_MATCH, id=observation.id))

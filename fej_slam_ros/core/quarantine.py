@@ -93,11 +93,11 @@ class Quarantine:
             f'its heading has become uncertain by {sigma:.2f} rad since it was last corrected')
 
     def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
-        """Restart the lost ones of some robots if they can join again, by landmarks with IDs."""
+        """Restart the lost ones of some robots if they can join again by landmarks."""
         for robot in filter(self._lost_robots.must_restart, robots):
             state = self._groups.of(robot).state
             remove_untrusted(state, robot)
-            if _count_with_ids(state) >= min_landmarks:
+            if _count_with_ids(state) >= min_landmarks or can_be_found(state):
                 reason = f'likely lost, {self._lost_robots.reason(robot)}'
                 self._lost_robots.restart(robot)
                 self._restart(robot, stamp, reason)

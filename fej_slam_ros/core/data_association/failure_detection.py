@@ -3,8 +3,9 @@
 """Detection of lost robots: most of their scans fail the gate, or fit several places."""
 
 from collections.abc import Container
+from dataclasses import dataclass
 
-from fej_slam_ros.core.ekf.gating import ScanGateStatistics, StatisticsByRobot
+from fej_slam_ros.core.ekf.gating import MIN_KNOWN, ScanGateStatistics, StatisticsByRobot
 
 #: Number of consecutive scans that mostly failed after which a robot counts as lost.
 LOST_AFTER = 3
@@ -12,6 +13,9 @@ LOST_AFTER = 3
 #: and of scans that are kept. Small scans also fail where an overconfident robot closes a loop.
 MIN_CONTRADICTIONS = 9
 MAX_FAILED_SCANS = 9
+
+#: Share of the landmarks without ID that should be in view that a lost robot misses.
+MISSED_BY_LOST = 0.8
 
 #: Number of scans in a row that cannot tell whether a suspected robot is where it is estimated,
 #: after which it maps again. Otherwise one wrong scan before unknown ground would end its map.
@@ -23,6 +27,26 @@ AMBIGUOUS_SCANS, AMBIGUOUS_OBSERVATIONS = 5, 15
 
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
 PROBATION = 20
+
+
+@dataclass(frozen=True, slots=True)
+class ScanMatchStatistics:
+    """Numbers of observations without ID and of confirmed landmarks in a scan."""
+
+    used: int = 0  #: observations of existing landmarks, or with IDs
+    doubtful: int = 0  #: ambiguous observations
+    elsewhere: int = 0  #: observations where no confirmed landmark is
+    expected: int = 0  #: landmarks that should be in view
+    missed: int = 0  #: those among them that were not observed
+
+    def is_conclusive(self) -> bool:
+        """Return whether the scan can tell whether the robot is where it is estimated."""
+        return self.expected >= MIN_KNOWN
+
+    def mostly_failed(self) -> bool:
+        """Return whether the robot observes others than the landmarks that should be in view."""
+        return self.is_conclusive() and self.elsewhere >= MIN_KNOWN and (
+            self.missed >= MISSED_BY_LOST * self.expected)
 
 
 class LostRobotDetector:
@@ -39,6 +63,8 @@ class LostRobotDetector:
         self._failed: dict[str, list[ScanGateStatistics]] = {}
         self._inconclusive: dict[str, int] = {}
         self._ambiguous: dict[str, tuple[int, int]] = {}
+        # Whose last scan missed most landmarks without ID: that it fits others clears no suspicion.
+        self._misses_most: set[str] = set()
         self._restarted: dict[str, str] = {}
         self._probation: dict[str, int] = {}
 
@@ -46,23 +72,33 @@ class LostRobotDetector:
         """Add the scans of one update."""
         for robot, scan in statistics.items():
             if scan.mostly_failed():
-                self._failed.setdefault(robot, []).append(scan)
-                del self._failed[robot][:-MAX_FAILED_SCANS]
-                self._inconclusive.pop(robot, None)
-            elif scan.is_conclusive() or scan.confirms_pose():
+                self._add_failed(robot, scan)
+            elif robot not in self._misses_most and (
+                    scan.is_conclusive() or scan.confirms_pose()):
                 self.forget_scans(robot)
             elif self.is_suspected(robot):
                 self.add_inconclusive(robot)
             if robot in self._probation:
                 self._continue_probation(robot, scan)
 
-    def add_matches(self, robot: str, doubtful: int, used: int) -> None:
-        """Add a scan of which some observations were doubtful, and some were used."""
-        if used:
+    def add_matches(self, robot: str, scan: ScanMatchStatistics) -> None:
+        """Add a scan of observations without ID."""
+        self._misses_most.discard(robot)
+        if scan.mostly_failed():
+            self._misses_most.add(robot)
+            self._add_failed(robot, ScanGateStatistics(scan.expected, scan.missed))
+        elif scan.used and scan.is_conclusive():
+            self.forget_scans(robot)
+        if scan.used:
             self._ambiguous.pop(robot, None)
-        elif doubtful:
+        elif scan.doubtful:
             scans, observations = self._ambiguous.get(robot, (0, 0))
-            self._ambiguous[robot] = scans + 1, observations + doubtful
+            self._ambiguous[robot] = scans + 1, observations + scan.doubtful
+
+    def _add_failed(self, robot: str, scan: ScanGateStatistics) -> None:
+        self._failed.setdefault(robot, []).append(scan)
+        del self._failed[robot][:-MAX_FAILED_SCANS]
+        self._inconclusive.pop(robot, None)
 
     def add_inconclusive(self, robot: str) -> None:
         """Add a scan of a suspected robot with too few known landmarks to check its pose."""

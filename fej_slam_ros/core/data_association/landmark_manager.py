@@ -17,7 +17,9 @@ import numpy as np
 
 from fej_slam_ros.core.data_association.constellations import can_be_found
 from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
-from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
+from fej_slam_ros.core.data_association.joint_compatibility import (
+    JointCompatibilityMatcher, MatchingResult)
+from fej_slam_ros.core.data_association.failure_detection import ScanMatchStatistics
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, position_indices, Robot, TentativeEvidence)
@@ -40,6 +42,9 @@ MIN_VIEW_RANGE, MIN_VIEW_BEARING = 1.0, 0.5
 SURE_RANGE = 0.8
 SURE_BEARING = 0.9
 DETECTION_PROBABILITY = 0.9
+#: Share of so many such landmarks that a robot must have observed so far for missing ones to mean
+#: that it is lost. In Victoria Park, where trees hide each other, it is a third.
+RELIABLE_SHARE, MIN_EXPECTED = 0.7, 100
 
 
 @dataclass(slots=True)
@@ -51,6 +56,8 @@ class FieldOfView:
     count: int = 0  #: number of observations
     farthest: list[float] = field(default_factory=list)  #: the largest ranges, increasing
     widest: list[float] = field(default_factory=list)  #: the largest bearings, increasing
+    expected: int = 0  #: number of times that a confirmed landmark should have been observed
+    found: int = 0  #: and was
 
     def widen(self, observations: Sequence[Observation]) -> None:
         """Extend the field of view to contain further observations."""
@@ -65,6 +72,10 @@ class FieldOfView:
             last = -1 - min(outside, MAX_OUTSIDE - 1)
             self.range = max(MIN_VIEW_RANGE, self.farthest[last])
             self.bearing = max(MIN_VIEW_BEARING, self.widest[last])
+
+    def is_reliable(self) -> bool:
+        """Return whether the robot has observed most landmarks that it should have."""
+        return self.expected >= MIN_EXPECTED and self.found >= RELIABLE_SHARE * self.expected
 
     def area(self) -> float:
         """Return its area [m^2]."""
@@ -87,7 +98,8 @@ class AssociatedScan:
 
     with_ids: Scan  #: the observations that had an ID
     associated: Scan  #: those without, with the ID of an existing or of a new landmark
-    matched: int = 0  #: number of the associated ones that are of an existing landmark
+    #: how well those without ID fit the map
+    statistics: ScanMatchStatistics = ScanMatchStatistics()
     #: those without an unambiguous association, which are not used
     doubtful: Sequence[Observation] = ()
     candidates: Sequence[Landmark] = ()  #: landmarks that the doubtful ones may be of
@@ -120,9 +132,11 @@ class LandmarkManager:
         landmarks = [
             landmark for key, landmark in state.landmarks.items()
             if key not in observed and key == filter_.landmark_key(scan.robot, key[1])]
+        is_expected = view.surely_contains(state, robot, landmarks) & np.array(
+            [landmark.tentative is None for landmark in landmarks], bool)
         result = matcher.match(
             state, filter_.linearization, robot, unknown, landmarks,
-            _log_odds(view, state, robot, landmarks, len(unknown)))
+            _log_odds(view, is_expected, len(unknown)))
         # A linear update cannot correct the heading by so much, a join can.
         if robot.turn_variance > filter_.linearization.max_turn_sigma_without_ids ** 2 and (
                 can_be_found(state)):
@@ -134,7 +148,10 @@ class LandmarkManager:
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return AssociatedScan(
             replace(scan, observations=with_ids), replace(scan, observations=(*matched, *new)),
-            len(matched), doubtful, result.candidates)
+            _statistics(
+                view, [f for f, expected in zip(landmarks, is_expected) if expected], result,
+                with_ids),
+            doubtful, result.candidates)
 
     def update_tentative(self, filter_: Filter, scan: AssociatedScan) -> None:
         """Confirm, delete and merge landmarks by a scan that the filter has been updated with."""
@@ -199,9 +216,7 @@ class LandmarkManager:
         self.counts.setdefault(robot, Counter()).update(events)
 
 
-def _log_odds(
-    view: FieldOfView, state: JointState, robot: Robot, landmarks: Sequence[Landmark], count: int
-) -> Array:
+def _log_odds(view: FieldOfView, is_expected: Flags, count: int) -> Array:
     """
     Return `CandidatePairs.log_odds` (l,) of landmarks in a scan of `count` unknown observations.
 
@@ -209,8 +224,23 @@ def _log_odds(
     The density of unknown objects is that of all the observations in the field of view.
 
     """
-    sure = view.surely_contains(state, robot, landmarks) & np.array(
-        [landmark.tentative is None for landmark in landmarks], bool)
     density = count / view.area()
     detected = math.log(DETECTION_PROBABILITY / (1.0 - DETECTION_PROBABILITY))
-    return np.where(sure, detected, 0.0) - math.log(2.0 * math.pi * density)
+    return np.where(is_expected, detected, 0.0) - math.log(2.0 * math.pi * density)
+
+
+def _statistics(
+    view: FieldOfView, expected: Sequence[Landmark], result: MatchingResult,
+    with_ids: Sequence[Observation],
+) -> ScanMatchStatistics:
+    """Return how well a scan fits the confirmed landmarks that should be in view."""
+    matched = result.landmarks.values()
+    tentative = sum(landmark.tentative is not None for landmark in matched)
+    not_missed = {landmark.key for landmark in (*matched, *result.candidates)}
+    missed = sum(landmark.key not in not_missed for landmark in expected)
+    view.expected, view.found = (
+        view.expected + len(expected), view.found + len(expected) - missed)
+    statistics = ScanMatchStatistics(
+        len(matched) + len(with_ids), len(result.doubtful), len(result.new) + tentative)
+    return statistics if not view.is_reliable() else replace(
+        statistics, expected=len(expected), missed=missed)

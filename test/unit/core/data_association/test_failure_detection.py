@@ -7,15 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
+from fej_slam_ros.core.data_association.failure_detection import (
+    LostRobotDetector, ScanMatchStatistics)
 from fej_slam_ros.core.ekf.gating import ScanGateStatistics
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose
-from fej_slam_ros.core.records import NS, Odometry, TruePose
+from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.snapshot import restore, snapshot
-from helpers.core import estimate
+from fej_slam_ros.sim.sensors import SensorSettings
+from helpers.core import circles, estimate
 from helpers.moved_landmarks import drive, SECOND_LOOP, with_moved
 
 TEAM = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1')
@@ -54,10 +56,48 @@ def test_in_a_consistent_run_no_landmark_or_robot_is_suspected(seed):
 def test_a_robot_is_ambiguous_after_five_scans_and_fifteen_observations_until_one_is_used():
     lost, observations = LostRobotDetector(), []
     for doubtful, used in [(4, 0), (4, 0), (4, 1), *[(4, 0)] * 3, (0, 0), (2, 0), (2, 0), (1, 3)]:
-        lost.add_matches('r1', doubtful, used)
+        lost.add_matches('r1', ScanMatchStatistics(used, doubtful))
         observations.append(lost.ambiguous('r1'))
 
     assert observations == [0, 0, 0, 0, 0, 0, 0, 0, 16, 0]
+
+
+@pytest.mark.parametrize(('scan', 'suspected'), [
+    (ScanMatchStatistics(elsewhere=3, expected=3, missed=3), True),
+    (ScanMatchStatistics(used=1, elsewhere=4, expected=5, missed=4), True),
+    (ScanMatchStatistics(used=2, elsewhere=4, expected=5, missed=3), False),
+    # Hidden landmarks: it observes nothing else instead.
+    (ScanMatchStatistics(elsewhere=2, expected=9, missed=9), False),
+    # Unknown ground.
+    (ScanMatchStatistics(elsewhere=9, expected=2, missed=2), False)])
+def test_a_robot_that_observes_others_than_it_should_is_suspected(scan, suspected):
+    lost = LostRobotDetector()
+
+    lost.add_matches('r1', scan)
+    # That it fits the landmarks which it has just started itself does not clear it.
+    lost.add({'r1': ScanGateStatistics(known=5, failed=0)})
+
+    assert lost.is_suspected('r1') is suspected
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_carried_robot_comes_back_by_landmarks_without_ids(seed):
+    """Before, it mapped the same landmarks a second time, metres beside the first."""
+    records = circles(seed, 1, landmarks=60, loops=4, sensors=SensorSettings(
+        (0.1, 0.1, np.radians(1.0)), (0.15, 0.15)))
+    stamps = sorted(r.stamp for r in records if isinstance(r, Odometry))
+    start = next(r.pose for r in records if isinstance(r, TruePose))
+    without_ids = [
+        replace(r, observations=tuple(replace(s, id=NO_ID) for s in r.observations))
+        if isinstance(r, Scan) else r for r in records]
+    records = carried(without_ids, 'r1', stamps[150], stamps[156])
+
+    estimator, results = estimate(records, ['r1'], anchor_pose=tuple(start.tolist()))
+
+    assert set(estimator.groups.team.robots) == {'r1'}
+    # A tenth of what it was carried.
+    assert position_error(records, results, 'r1') < 1.6
+    assert estimator.statistics.restart_reasons['r1'].startswith('likely lost')
 
 
 def test_a_robot_is_lost_after_three_failed_scans_until_one_passes():
