@@ -38,6 +38,7 @@ def test_a_relative_pose_has_the_covariance_of_first_order(kind):
 
     relative = relative_pose(state, filter_.linearization, 'r1', 'r2')
 
+    assert (relative.observer, relative.observed) == ('r1', 'r2')
     assert_allclose(pose_difference(relative.pose, in_frame_of(x)), np.zeros(3), atol=1e-12)
     # Central differences are right to 1e-9.
     assert_allclose(relative.P, D @ state.marginal(robots) @ D.T, atol=1e-8)
