@@ -42,7 +42,10 @@ def test_a_jump_is_no_motion(p1, expected):
 def test_odometry_that_begins_again_at_zero_is_no_motion_even_if_near():
     assert reason((0.8, 0.6, 0.1), (0.0, 0.0, 0.0)) == (
         'its odometry began again at zero, 1.0 m away')
+    assert reason((0.0, 0.0, 1.5), (0.0, 0.0, 0.0)) == (
+        'its odometry began again at zero, 0.0 m away')
     assert not reason((0.8, 0.6, 0.1), (0.1, 0.0, 0.0))
+    assert not reason((0.0, 0.0, 1.5), (0.0, 0.0, 0.1))
 
 
 @pytest.mark.parametrize(('distance', 'turn', 'dt', 'before'), [
@@ -64,6 +67,8 @@ def test_a_robot_may_return_to_the_origin_of_its_odometry():
 def test_odometry_that_states_its_uncertainty_is_used():
     assert reason((10.0, 6.0, 0.0), (14.0, 6.0, 0.0))
     assert not reason((10.0, 6.0, 0.0), (14.0, 6.0, 0.0), noise=np.diag([1.0, 1.0, 0.01]))
+    assert reason((10.0, 6.0, 0.0), (10.0, 6.0, 2.5))
+    assert not reason((10.0, 6.0, 0.0), (10.0, 6.0, 2.5), noise=np.diag([0.01, 0.01, 1.0]))
 
 
 def test_the_limits_are_those_of_the_robot():

@@ -61,6 +61,25 @@ def test_only_the_newest_rejections_wait_to_be_published_and_all_are_counted():
     assert statistics.total(RejectionReason.BAD_STAMP) == MAX_PENDING_REJECTIONS + 1
 
 
+def test_the_counts_of_a_robot_are_replaced_by_those_taken_over_and_no_others():
+    statistics, other = InputStatistics(), InputStatistics()
+    for counted in statistics, other:
+        counted.count_fully_rejected_scan('r2')
+    statistics.reject_message('r1', 5, RejectionReason.TILTED)
+    for stamp in 6, 7:
+        other.reject_message('r1', stamp, RejectionReason.LATE)
+        other.count_fully_rejected_scan('r2')
+    other.count_restart('r1', 'lost')
+    other.observations_used['r1'], other.released_without['r1'] = 3, 4
+
+    statistics.take_over('r1', other)
+
+    assert statistics.received == statistics.rejected == {'r1': 2, 'r2': 1}
+    assert statistics.rejection_counts == {'r1': {RejectionReason.LATE: 2}}
+    assert (statistics.relocalized, statistics.restart_reasons) == ({'r1': 1}, {'r1': 'lost'})
+    assert (statistics.observations_used, statistics.released_without) == ({'r1': 3}, {'r1': 4})
+
+
 @pytest.mark.parametrize('reason', RejectionReason)
 def test_the_result_depends_on_arrival_after_what_time_of_arrival_and_speed_decide_only(reason):
     statistics = InputStatistics()

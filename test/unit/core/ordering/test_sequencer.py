@@ -506,3 +506,16 @@ def test_a_robot_ahead_of_the_others_that_leaves_makes_none_of_them_count_as_sil
         assert all(not step.arrivals or ms < 200 for step in sequencer.take())
 
     assert statistics.released_without.total() == 0
+
+
+def test_a_waiting_observation_of_a_robot_that_leaves_is_rejected_with_its_name():
+    sequencer, statistics = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r2', 0), robot_scan('r1', 50, [('r2', (1, 0))]))
+
+    sequencer.change_team(team('r1').robots)
+    steps = all_steps(sequencer, odometry('r1', 100))
+
+    assert [[len(found.observations) for found in step.robot_scans] for step in steps] == [
+        [], [0], []]
+    assert [(r.reason, r.observed) for r in statistics.rejections if r.robot == 'r1'] == [
+        (RejectionReason.OTHER_ROBOT_STALE, 'r2')]
