@@ -237,6 +237,12 @@ def test_another_robot_of_the_same_name_is_noticed():
     assert rejection(receiver(), blocks_of(other, 'p')[0]) is MessageRejection.SAME_NAME
 
 
+def test_an_own_block_that_another_robot_sends_back_is_known():
+    logs, _ = written('p')
+
+    assert not any(logs.add(block) for block in blocks_of(logs, 'p'))
+
+
 def test_a_restarted_robot_continues_its_run():
     sender, records = written(count=50)
     stored = sender.take_new_blocks()
