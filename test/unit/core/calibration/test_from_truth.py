@@ -59,15 +59,16 @@ def test_sparse_true_poses_give_the_factors(seconds):
 
 def test_odometry_leads_from_a_sparse_true_pose_to_an_observation():
     start = np.array([5.0, 0.0, math.pi / 2.0])
-    # At 1 m/s ahead; the true pose is known at 10 s only, the landmark was observed 0.2 s later.
+    # At 1 m/s ahead; the true pose is known at 10 s only, the landmark was observed 0.15 s later,
+    # between two odometry messages.
     records = [
         *(odometry('r1', 100 * k, (0.1 * k, 0.0, 0.0)) for k in range(200)),
-        true_pose('r1', 10_000, start), TrueLandmarks({1: np.array([5.0, 3.2])}, 0),
-        scan('r1', 10_200, [(1, (3.1, 0.0))]), scan('r1', 10_400, [(1, (9.0, 0.0))])]
+        true_pose('r1', 10_000, start), TrueLandmarks({1: np.array([5.0, 3.15])}, 0),
+        scan('r1', 10_150, [(1, (3.1, 0.0))]), scan('r1', 10_400, [(1, (9.0, 0.0))])]
 
     (squared,) = normalized_errors(records, team())['landmark']['r1']
 
-    # The robot is at (5.0, 0.2), 3 m from the landmark.
+    # The robot is at (5.0, 0.15), 3 m from the landmark.
     R = records[-2].observations[0].R
     assert squared == pytest.approx(0.1 ** 2 / R[0, 0])
 

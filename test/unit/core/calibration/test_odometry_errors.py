@@ -80,8 +80,8 @@ def test_large_noise_of_odometry_does_not_make_its_scale_too_small():
 
 
 @FITS
-def test_odometry_without_errors_is_left_as_it_is(fit):
-    errors = fit(*run())
+def test_odometry_without_errors_has_none_whatever_was_given(fit):
+    errors = fit(*run(), np.array([0.9, 1.1, 0.05]))
 
     assert errors.is_known.all()
     assert_array_equal(errors.values, NO_ERRORS)

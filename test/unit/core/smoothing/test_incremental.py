@@ -342,3 +342,12 @@ def test_the_covariance_after_an_unknown_motion_is_in_the_frame_of_the_map():
         IncrementalSmoother(), np.array([5.0, 0.0, 1.0]), np.diag(np.square([0.01, 1.0, 0.1])))
 
     assert_allclose(np.sqrt(np.diag(smoother.P)), [1.0, 0.01, 0.1], rtol=1e-6)
+
+
+def test_a_smoother_that_never_solves_by_itself_does_not_when_another_is_appended(monkeypatch):
+    smoother = IncrementalSmoother(solve_every=NEVER)
+    monkeypatch.setattr(IncrementalSmoother, 'solve', None)
+
+    smoother.append(IncrementalSmoother(), np.array([5.0, 0.0, 1.0]), np.eye(3))
+
+    assert len(smoother) == 2
