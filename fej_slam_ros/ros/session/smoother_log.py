@@ -31,7 +31,10 @@ class SmootherLog(RunLog[TeamSmoother]):
             reason = team.statistics.restart_reasons[robot]
             self.add(LogSeverity.WARN, f'{robot} goes on in its own frame: {reason}')
         for robot in sorted(self._lost - lost):
-            self.add(LogSeverity.INFO, f'{robot} is found by the landmarks of its map')
+            # Only a run that has never been lost has no restart.
+            found = 'is found by the landmarks of its map'
+            what = found if team.statistics.relocalized[robot] else 'has begun a new run'
+            self.add(LogSeverity.INFO, f'{robot} {what}')
         self._lost = lost
 
     def add_solution(self, failed: Mapping[str, str]) -> None:

@@ -568,6 +568,34 @@ def test_another_robot_that_is_lost_is_logged_with_the_reason_and_the_own_one_go
     assert line == 'q goes on in its own frame: its odometry moved 100.1 m in 0.10 s'
 
 
+def test_a_lost_robot_that_begins_a_new_run_is_not_logged_as_found(clock):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    for k in range(20):
+        x = k / 10.0 + (100.0 if k >= 10 else 0.0)
+        fed(sessions, [
+            raw_record(odometry('p', 100 * k)), raw_record(odometry('q', 100 * k, (x, 0.0, 0.0))),
+            raw_record(scan('q', 100 * k, [(1, (5.0 - x, 1.0))]))], clock)
+    exchanged(sessions, clock, 10.0)
+    run = sessions['p']
+
+    def solved():
+        function, task = run.final_solving()
+        list(run.adopt(function(task)))
+        feed(sessions, raw_record(odometry('p', stamps.pop(0))))
+        return [line.text for line in run.log.take() if line.text.startswith('q ')]
+
+    stamps = [2000, 2100]
+    solved()
+    sessions['q'] = session('q', 'p')
+    for k in range(20):
+        fed(sessions, [
+            raw_record(odometry('q', 100 * k)),
+            raw_record(scan('q', 100 * k, [(1, (5.0, 1.0))]))], clock)
+    exchanged(sessions, clock, 10.0)
+
+    assert 'q has begun a new run' in solved()
+
+
 def test_a_parameter_file_may_list_the_own_robot_among_its_peers():
     given = settings(['p'], ['p', 'q'])
 
