@@ -315,7 +315,7 @@ class PeerExchange:
         sent = self.logs.logs.get(LogName(self.logs.robot, name))
         _, known = peer.known.get(LogName(self.logs.robot, name), (0, None))
         return (
-            sent is not None and known is not None and not any(sent.missing(known))
+            sent is not None and known is not None and next(sent.missing(known), None) is None
             and LogName(name, self.logs.robot) in self.logs.logs)
 
     def _priority(self, block: tuple[LogName, int, int]) -> tuple[bool, bool, LogName, int, int]:

@@ -30,6 +30,9 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
+#: Reasons for which only the union rejects own observations, those of other robots.
+UNION_REASONS = (RejectionReason.OTHER_ROBOT_STALE, RejectionReason.LOST_ROBOT)
+
 
 class PeerSmoother(TeamSmoother):
     """
@@ -126,6 +129,8 @@ class PeerSmoother(TeamSmoother):
         """Adopt the smoother of everything at the end of the input."""
         self.adopt_union(union)
         self.trajectories = {**union.trajectories}
+        # Until now, they might have waited for a log that was on its way.
+        self._count_rejected_robots(union)
 
     def adopt_rendezvous(self, peer: str, result: RendezvousResult) -> None:
         """Adopt the result of a rendezvous, and let the other robot have the information."""
@@ -176,3 +181,13 @@ class PeerSmoother(TeamSmoother):
         self.observed.update(o.observed for o in record.observations)
         self.new_measurements += len(record.observations)
         return None
+
+    def _count_rejected_robots(self, union: TeamSmoother) -> None:
+        """Count own observations of robots that a union rejects, in place of those before."""
+        own = self.statistics.rejection_counts[self.robot]
+        of_union = union.statistics.rejection_counts[self.robot]
+        for reason in UNION_REASONS:
+            self.statistics.observations_used[self.robot] += own[reason] - of_union[reason]
+            own.pop(reason, None)
+            if of_union[reason]:
+                own[reason] = of_union[reason]

@@ -136,6 +136,42 @@ def test_robots_with_different_limits_on_scans_have_the_same_map():
     assert {union.statistics.observations_used['r1'] for union in maps} == {90}
 
 
+def test_own_observations_of_robots_that_the_union_rejects_are_counted_as_in_the_centre():
+    """At the end of the input; the odometry of r2 ends before the observations do."""
+    settings = team('r1', 'r2')
+    own = PeerSmoother(settings, 'r1', TeamLogs('r1', 1, settings.robots[0]), 10**9)
+    other = TeamLogs('r2', 1, settings.robots[1])
+    central = TeamSmoother(settings)
+    records = [record for ms in range(0, 3000, 100) for record in (
+        moved(ms), seen(ms), robot_scan('r1', ms, [('r2', (-ms / 1000.0, 2.0))]))]
+    theirs = [odometry('r2', ms, (0.0, 0.0, 0.0)) for ms in range(0, 1500, 100)]
+    for record in records:
+        assert own.add(record) is None
+        list(own.take())
+    list(own.close())
+    for record in sorted([*records, *theirs], key=lambda record: record.stamp):
+        central.add(record)
+        list(central.take())
+    list(central.close())
+
+    own.adopt_finally(smoothed_union(own.union_task()))
+    # r2 is unknown: none of 30.
+    assert own.statistics.rejection_counts['r1'] == {RejectionReason.OTHER_ROBOT_STALE: 30}
+    assert own.statistics.observations_used['r1'] == 90
+    for record in theirs:
+        other.record(record)
+    other.flush()
+    for block in other.take_new_blocks():
+        own.logs.add(block)
+    for _ in range(2):
+        own.adopt_finally(smoothed_union(own.union_task()))
+
+    expected = central.statistics
+    assert expected.rejection_counts['r1'] == {RejectionReason.OTHER_ROBOT_STALE: 15}
+    assert own.statistics.rejection_counts['r1'] == expected.rejection_counts['r1']
+    assert own.statistics.observations_used['r1'] == expected.observations_used['r1'] == 105
+
+
 @pytest.mark.parametrize('record', [
     odometry('r2', 0), scan('r2', 0, [(1, (1.0, 0.0))]),
     robot_scan('r2', 0, [('r1', (1.0, 0.0))])])
