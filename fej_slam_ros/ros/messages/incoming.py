@@ -24,7 +24,8 @@ from fej_slam_ros.core.records import Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
 
-#: Largest coordinate of a pose or landmark [m], beyond any site; float64 resolves 0.1 um there.
+#: Largest coordinate of a pose, landmark or frame [m], beyond any site; float64 resolves 0.1 um
+#: there.
 MAX_COORDINATE = 1e9
 #: Smallest variance of an observation or pose prior [m^2, rad^2]; smaller ones are input errors
 #: and make the innovation covariance singular.
@@ -131,6 +132,9 @@ def checked_covariance(covariance: Array) -> Array:
         raise RejectedError(RejectionReason.BAD_COVARIANCE)
     sigma = np.sqrt(np.where(variances > 0.0, variances, 1.0))
     scale = np.outer(sigma, sigma)
+    # No correlation exceeds 1; divided by tiny variances it may be no number.
+    if (np.abs(covariance) > 2.0 * scale).any():
+        raise RejectedError(RejectionReason.BAD_COVARIANCE)
     eigenvalues, vectors = np.linalg.eigh(symmetric / scale)
     asymmetry = np.abs((covariance - symmetric) / scale).max()
     if eigenvalues[0] < -PSD_TOLERANCE or asymmetry > PSD_TOLERANCE:
@@ -161,6 +165,8 @@ def _static_transform(transform: TransformStamped) -> StaticTransform | Rejectio
         pose = spatial_pose(transform.transform.translation, transform.transform.rotation)
     except RejectedError as rejected:
         return rejected.reason
+    if np.abs(pose[:3, 3]).max() > MAX_COORDINATE:
+        return RejectionReason.OUT_OF_RANGE
     return StaticTransform(
         transform.header.frame_id.lstrip('/'), transform.child_frame_id.lstrip('/'), pose)
 

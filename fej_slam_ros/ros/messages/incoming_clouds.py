@@ -25,7 +25,7 @@ from fej_slam_ros.ros.messages.incoming import (
 
 #: Fields of the coordinates of an observation or landmark.
 POINT = ('x', 'y')
-#: Largest coordinate of an observation [m].
+#: Largest coordinate of an observation [m], in the frames of the sensor and of the base.
 MAX_DISTANCE = 1e6
 #: Smallest ratio of the determinant of an observation's covariance to its squared trace; below it
 #: the rotation into the base frame may make it indefinite by rounding.
@@ -169,6 +169,9 @@ def _observations(
     faults, stamp = observation_faults(z, R), from_time(cloud.header.stamp)
     if any(robot.sensor_pose):
         z, R = _in_base_frame(z, R, np.array(robot.sensor_pose))
+        # By static transforms a sensor may be far from its robot.
+        for k in np.flatnonzero(np.abs(z).max(1) > MAX_DISTANCE).tolist():
+            faults[k] = faults[k] or RejectionReason.OUT_OF_RANGE
     repeated = {id_ for id_, count in Counter(ids).items() if count > 1} - {NO_ID}
     observations, rejected = [], []
     for id_, z_k, R_k, fault in zip(ids, z, R, faults):

@@ -117,6 +117,11 @@ def test_a_quaternion_in_single_precision_is_accepted():
         # Negative beside what is large in another unit.
         (np.diag([1e12, 1e12, -9e4]), RejectionReason.BAD_COVARIANCE),
         ([[1e12, 0.0, 0.0], [0.0, 1e-4, 2e-4], [0.0, 2e-4, 1e-4]], RejectionReason.BAD_COVARIANCE),
+        # Correlations that are no finite numbers, with one finite eigenvalue and with none.
+        ([[5e-324, -1e5, 0.0], [-1e5, 1e-320, 0.0], [0.0, 0.0, 1.0]],
+         RejectionReason.BAD_COVARIANCE),
+        ([[5e-324, 1e5, 1.0], [1e5, 1e-160, 0.0], [1.0, 0.0, 1e-300]],
+         RejectionReason.BAD_COVARIANCE),
     ])
 def test_a_matrix_that_is_no_covariance_is_rejected(block, reason):
     message = odometry_message(twist_covariance=full(block))

@@ -142,6 +142,16 @@ def test_an_observation_beyond_the_maximum_distance_is_rejected_alone():
     assert (rejected, used) == ([(1, RejectionReason.OUT_OF_RANGE)], [2])
 
 
+def test_an_observation_beyond_the_maximum_distance_from_the_base_is_rejected_alone():
+    # The sensor is 1 m closer than the limit of 1000 km.
+    robot = RobotSettings('r1', 1, sensor_pose=(1e6 - 1.0, 0.0, 0.0))
+
+    scan, rejected = incoming_clouds.scan(seen((1, 2.0, 0.0), (2, 0.5, 0.0)), robot)
+
+    assert [(r.id, r.reason) for r in rejected] == [(1, RejectionReason.OUT_OF_RANGE)]
+    assert [observation.id for observation in scan.observations] == [2]
+
+
 @pytest.mark.parametrize('ids', [('i4', [1, -2]), ('i4', [1, -2**31]), ('u4', [1, 2**32 - 1])])
 def test_an_invalid_landmark_id_is_rejected_alone(ids):
     message = cloud({'x': ('f8', [1.0, 2.0]), 'y': ('f8', [0.0, 0.0]), 'id': ids})

@@ -97,11 +97,26 @@ def test_a_scan_without_an_upright_place_on_its_robot_is_rejected(links, reason)
     assert run.estimator.statistics.rejection_counts['r1'] == {reason: 1}
 
 
-def test_a_transform_that_is_no_number_is_rejected_and_counted():
-    run = run_of(mounts(('r1/base_link', 'r1/laser', (np.nan, 0.0, 0.0), LEFT)), scan('r1/laser'))
+@pytest.mark.parametrize(('coordinate', 'reason'), [
+    (np.nan, RejectionReason.NOT_FINITE), (1e38, RejectionReason.OUT_OF_RANGE),
+    (-1e300, RejectionReason.OUT_OF_RANGE)])
+def test_a_transform_that_is_no_place_is_rejected_and_counted(coordinate, reason):
+    link = 'r1/base_link', 'r1/laser', (0.0, coordinate, 0.0), LEFT
 
-    assert run.estimator.statistics.rejection_counts[''] == {RejectionReason.NOT_FINITE: 1}
+    run = run_of(mounts(link), scan('r1/laser'))
+
+    assert run.estimator.statistics.rejection_counts[''] == {reason: 1}
     assert run.estimator.statistics.rejection_counts['r1'] == {RejectionReason.WRONG_FRAME: 1}
+
+
+def test_a_scan_of_a_sensor_far_from_its_robot_is_rejected_and_changes_nothing():
+    # As of a site in the frame of the Earth.
+    far = 'r1/base_link', 'r1/laser', (0.0, 6.4e6, 0.0), LEFT
+
+    run = run_of(mounts(far), scan('r1/laser', 10))
+
+    assert run.estimator.statistics.rejection_counts['r1'] == {RejectionReason.OUT_OF_RANGE: 1}
+    assert run.estimator.state_hash() == run_of(mounts(far)).estimator.state_hash()
 
 
 def test_the_other_links_of_a_message_with_a_wrong_one_are_used():
