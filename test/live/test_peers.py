@@ -84,6 +84,17 @@ def test_each_robot_ends_with_the_central_result(domain, tmp_path):
     assert alignment['maps'][0]['robots'] == ['q', 'p']
 
 
+def test_the_anchor_of_a_smoother_may_be_another_robot(domain, tmp_path):
+    smoother = domain.start('smoother', '--ros-args', '--params-file', peer_parameters(
+        tmp_path, 'q', 'p', anchor='p'))
+
+    domain.until(
+        lambda: smoother.poll() is not None or domain.node.count_subscribers('/q/odom'))
+
+    assert smoother.poll() is None
+    assert domain.finish(smoother, signal.SIGINT)[0] == 0
+
+
 def test_a_robot_becomes_a_peer_of_a_running_smoother(domain, tmp_path):
     expected_hash, _ = smoothed(tmp_path)
     smoothers = [

@@ -124,3 +124,15 @@ def test_robots_are_added_to_a_smoother_and_removed(domain, tmp_path):
 
     assert status == 0, errors
     assert (tmp_path / 'out' / 'trajectory_r2.csv').read_text().count('\n') >= 5
+
+
+def test_a_smoother_goes_on_when_its_anchor_is_removed_before_it_has_sent_odometry(
+    domain, tmp_path,
+):
+    parameters = write_parameters(tmp_path / 'team.yaml', **TEAM)
+    smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
+
+    assert set_robots(domain, ['r2'], 'smoother').successful
+
+    domain.until(lambda: topics_of(domain, 'r1') == (0, 0) and topics_of(domain, 'r2') == (1, 1))
+    assert domain.finish(smoother, signal.SIGINT)[0] == 0

@@ -303,7 +303,9 @@ class SessionNode(SettingsNode):
         self._relocalize_services.match(
             name for name in self._session.consumer.robots if f'{name}/set_pose' in inputs)
         if self.is_active:
-            self._topics.watch_first(self._session.inputs.start_check.topics())
+            # The anchor of a smoother may have left, or be that of other smoothers.
+            self._topics.watch_first(
+                topic for topic in self._session.inputs.start_check.topics() if topic in inputs)
 
     def _relocalization(self, robot: str) -> PosePrior:
         if not self.is_active:

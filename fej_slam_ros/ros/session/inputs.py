@@ -163,7 +163,9 @@ class Inputs:
             self._reject_waiting_scans(name, RejectionReason.WRONG_FRAME)
 
     def remove_robot(self, robot: str) -> None:
-        """Delete the state of a robot that was removed, and reject its waiting scans."""
+        """Delete the state of a robot that was removed, and reject its waiting messages."""
+        for arrived in self.start_check.remove_robot(robot):
+            self._reject(robot, arrived.record.stamp, RejectionReason.LEFT)
         self._reject_waiting_scans(robot, RejectionReason.LEFT)
         self.frames.remove_robot(robot)
         self.delays.pop(robot, None)

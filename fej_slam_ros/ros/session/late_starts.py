@@ -75,6 +75,11 @@ class StartCheck:
         for robot in [*self._held]:
             yield from self._held.pop(robot)
 
+    def remove_robot(self, robot: str) -> list[ArrivedOdometry]:
+        """Forget a robot that was removed; return its odometry that is held."""
+        self._numbers_missed.pop(robot, None)
+        return self._held.pop(robot, [])
+
     def held(self) -> dict[str, HeldOdometry]:
         """Return the odometry that is held, by robot."""
         return {
@@ -229,6 +234,12 @@ class LateAnchor(StartCheck):
             if missed is not None or len(self._received) == MAX_HELD_ODOMETRY:
                 self._check(self._received[0], missed)
         return super().admit(arrived)
+
+    def remove_robot(self, robot: str) -> list[ArrivedOdometry]:
+        """Forget a robot that was removed; return its odometry that is held, which is none."""
+        if robot == self._anchor:
+            self._received.clear()
+        return super().remove_robot(robot)
 
     def topics(self) -> list[str]:
         """Return the topics of which the number of missed messages is needed."""

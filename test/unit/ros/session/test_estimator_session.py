@@ -78,6 +78,32 @@ def test_waiting_scans_are_rejected_when_their_robot_is_removed(run):
     assert run.estimator.statistics.rejection_counts['r3'] == {RejectionReason.LEFT: 1}
 
 
+class UnknownMissed:
+    """Messages of which it is unknown how many were missed."""
+
+    def missed(self, _topic):
+        return None
+
+    def forget(self, _topic):
+        pass
+
+
+def test_odometry_held_for_a_late_start_is_rejected_when_its_robot_is_removed():
+    run = EstimatorSession(run_settings(known=[('r2', (1.0, 0.0, 0.0), (0.1, 0.1, 0.1))]), None)
+    run.check_starts(UnknownMissed())
+    far = [raw('r2/odom', odometry_message(ms, (3.0, 0.0, 0.0)), ms) for ms in (0, 100)]
+    for message in far:
+        run.receive(message)
+
+    run.change_team(['r1'])
+
+    assert run.estimator.statistics.rejection_counts['r2'] == {RejectionReason.LEFT: 2}
+    list(run.close())
+    assert run.estimator.statistics.received['r2'] == 2
+    # Nothing is said of the start of a robot that is not there.
+    assert [line.text for line in run.log.take()] == ['first data of r2 on r2/odom']
+
+
 @pytest.mark.parametrize('names', [[], ['r1', 'r1'], ['no name'], ['filter'], 'r1', [1]])
 def test_a_value_that_is_no_team_is_refused(run, names):
     with pytest.raises(UsageError, match='robots'):
