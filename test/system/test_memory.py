@@ -2,7 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """However long a run, it holds no more; what is dropped is counted."""
 
+import gc
 from itertools import islice
+from types import BuiltinFunctionType, FunctionType, ModuleType
 
 import numpy as np
 import pytest
@@ -10,11 +12,11 @@ import pytest
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.time_jump import MAX_HELD_RECORDS, TimeJumpDetector
 from fej_slam_ros.core.records import PosePrior
-from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.snapshot import snapshot
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, scan, team, true_pose
-from helpers.ros import odometry_message, raw, run_settings, seen
+from helpers.ros import odometry_message, raw, raw_record, run_settings, seen
 
 #: Number of messages after which all queues and buffers are full.
 FULL = 25_000
@@ -27,6 +29,18 @@ def held(value):
     if isinstance(value, dict):
         value = [*value.values()]
     return sum(map(held, value)) if isinstance(value, (list, tuple)) else 1
+
+
+def reachable(value):
+    """Return how many objects but classes, modules and functions a value holds."""
+    found, waiting = {}, [value]
+    while waiting:
+        held_one = waiting.pop()
+        is_code = isinstance(held_one, (type, ModuleType, FunctionType, BuiltinFunctionType))
+        if id(held_one) not in found and not is_code:
+            found[id(held_one)] = held_one
+            waiting += gc.get_referents(held_one)
+    return len(found)
 
 
 def given(ms):
@@ -116,3 +130,31 @@ def test_records_held_while_a_time_jump_is_undecided_are_bounded():
 
     # The first stays, and what is too much is late.
     assert estimator.statistics.received['r1'] == 1 + FULL - MAX_HELD_RECORDS
+
+
+def test_a_log_holds_no_more_however_often_one_landmark_is_moved():
+    run = EstimatorSession(run_settings('r1', moved_landmarks='forget'), None)
+
+    sizes, texts = [], []
+    for k in range(2000):
+        run.log.add_rejections(
+            [Rejection('r1', k * MS, RejectionReason.MOVED_LANDMARK, id=7)] * 2)
+        texts += [line.text for line in run.log.take()]
+        if k in (999, 1999):
+            sizes.append(reachable(run.log))
+
+    assert sizes[1] - sizes[0] < 10
+    assert len(texts) == 2000
+
+
+def test_a_robot_without_odometry_that_is_given_poses_uses_bounded_memory():
+    run = EstimatorSession(run_settings(), None)
+
+    sizes = []
+    for k in range(20_000):
+        run.receive(raw_record(given(k)))
+        list(run.take())
+        if k in (11_999, 19_999):
+            sizes.append(reachable(run.inputs.health))
+
+    assert sizes[1] < LEVEL * sizes[0]

@@ -22,7 +22,8 @@ class EstimatorLog(RunLog[Estimator]):
     def __init__(self, estimator: Estimator, inputs: Inputs) -> None:
         super().__init__(estimator, inputs)
         self._lost: set[str] = set()
-        self._moved: set[tuple[object, ...]] = set()
+        # When landmarks were moved last [ns] by owner and ID, 0 for those that are not forgotten.
+        self._moved: dict[tuple[str, int | None], int] = {}
         self._relocalized = estimator.statistics.relocalized.copy()
         self._restarted: list[str] = []
         self._was_initialized = estimator.groups.is_initialized
@@ -62,9 +63,9 @@ class EstimatorLog(RunLog[Estimator]):
             if rejected.reason is RejectionReason.MOVED_LANDMARK:
                 owner = '' if settings.shared_landmark_ids else rejected.robot
                 is_forgotten = settings.moved_landmarks == 'forget'
-                key = owner, rejected.id, rejected.stamp if is_forgotten else 0
-                if key not in self._moved:
-                    self._moved.add(key)
+                key, stamp = (owner, rejected.id), rejected.stamp if is_forgotten else 0
+                if self._moved.get(key) != stamp:
+                    self._moved[key] = stamp
                     self.add(LogSeverity.WARN, (
                         f'landmark {rejected.id}{owner and f" of {owner}"} was moved: '
                         + ('it starts again where it is observed next' if is_forgotten

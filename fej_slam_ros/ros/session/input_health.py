@@ -271,7 +271,9 @@ class InputHealth:
 
     def receive_pose_prior(self, robot: str, stamp: int) -> None:
         """Add the stamp [ns] of an accepted pose prior."""
-        self.pose_priors.setdefault(robot, []).append(stamp)
+        waiting = self.pose_priors.setdefault(robot, [])
+        waiting.append(stamp)
+        del waiting[:-MAX_NOTES]
 
     def receive_odometry(self, robot: str, stamp: int) -> None:
         """Add the stamp [ns] of accepted odometry, which may show that others lag behind."""

@@ -33,10 +33,15 @@ class RepeatableLines:
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
 
-    def lines(self, severity: LogSeverity, text: str) -> Iterator[LogLine]:
-        """Yield the line the first few times, then the tenth, the hundredth and so on."""
-        self._counts[text] += 1
-        count = self._counts[text]
+    def lines(self, severity: LogSeverity, text: str, cause: str = '') -> Iterator[LogLine]:
+        """
+        Yield the line the first few times, then the tenth, the hundredth and so on.
+
+        Lines of one cause, of which there are few, are counted together whatever their numbers.
+
+        """
+        self._counts[cause or text] += 1
+        count = self._counts[cause or text]
         if count <= MAX_REPEATS:
             yield LogLine(severity, text)
         elif str(count).strip('0') == '1':

@@ -200,15 +200,17 @@ class RunLog(ABC, Generic[ConsumerT]):
                 for rejected in self._consumer.statistics.rejections
                 if (rejected.robot, rejected.stamp) == (robot, given)
                 and rejected.reason in PRIOR_REASONS]
+            cause = ''
             if reasons:
                 line = LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}'
             elif given and until - given > MAX_PRIOR_AGE:
+                cause = f'late set_pose of {robot}'
                 line = LogSeverity.WARN, (
                     f'set_pose of {robot} accepted {(until - given) / NS:.1f} s after its stamp:'
                     ' the robot is placed where it was then')
             else:
                 line = LogSeverity.INFO, f'set_pose of {robot} accepted'
-            self._lines.extend(self._repeatable.lines(*line))
+            self._lines.extend(self._repeatable.lines(*line, cause))
             if not reasons:
                 self._note_repeated_priors(robot, until)
 

@@ -92,6 +92,18 @@ def test_a_pose_prior_that_arrives_late_is_named_as_such():
             ' then') in lines
 
 
+def test_pose_priors_that_arrive_ever_later_do_not_fill_the_log():
+    late = [prior(200 + k, 1.2) for k in range(40)]
+    records = [*meeting(20), *(
+        record for k, given in enumerate(late) for record in (
+            odometry('r1', 2000 + 100 * k), odometry('r2', 2000 + 100 * k), given))]
+
+    lines = [line for line in lines_of(records) if 'after its stamp' in line]
+
+    assert len(lines) == 6
+    assert lines[-1].endswith('(10 times)')
+
+
 def test_a_stream_of_pose_priors_is_named_once():
     records = meeting(20)
     for k in range(8):
