@@ -15,6 +15,8 @@ from fej_slam_ros.core.records import NS
 
 #: Last stamp that a message can have [ns].
 LAST_STAMP = 2**31 * NS - 1
+#: Latest stamp [s] of data of sensors, whose results have somewhat later stamps.
+MAX_SECONDS = 2**31 - 1 - 60
 #: Hardware ID of the statuses that are of no single robot.
 REPORTER = 'fej_slam_ros'
 

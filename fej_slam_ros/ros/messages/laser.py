@@ -10,7 +10,7 @@ from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__LaserScan as Las
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.detection.laser_scan import LaserScan
-from fej_slam_ros.ros.messages.common import from_time
+from fej_slam_ros.ros.messages.common import from_time, MAX_SECONDS
 
 #: Maximum number of beams of a scan; lasers have at most 6,000.
 MAX_BEAMS = 20_000
@@ -18,8 +18,6 @@ MAX_BEAMS = 20_000
 MIN_INCREMENT = 1e-5
 #: Longest scan [s].
 MAX_DURATION = 10.0
-#: Latest stamp [s], so that the last beam has one that a message can carry.
-MAX_SECONDS = 2**31 - 1 - 60
 #: Share of a turn by which a scan may exceed it, and by which its last angle may be off.
 ANGLE_TOLERANCE = 0.05
 

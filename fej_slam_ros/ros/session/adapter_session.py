@@ -16,7 +16,7 @@ from fej_slam_ros.detection import objects
 from fej_slam_ros.detection.objects import DetectedObject, PlanarObservation
 from fej_slam_ros.ros.messages import (
     decoded_as, incoming, incoming_clouds, markers, object_formats, outgoing, RawMessage)
-from fej_slam_ros.ros.messages.common import from_time
+from fej_slam_ros.ros.messages.common import from_time, MAX_SECONDS
 from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
@@ -191,7 +191,7 @@ class AdapterSession:
         try:
             pose = None if given is None else incoming.spatial_pose(
                 given.position, given.orientation)
-            if sensed.header.stamp.nanosec >= NS:
+            if sensed.header.stamp.nanosec >= NS or sensed.header.stamp.sec > MAX_SECONDS:
                 raise incoming.RejectedError(RejectionReason.BAD_STAMP)
             if len(sensed.objects) > MAX_MESSAGE_OBJECTS:
                 raise incoming.RejectedError(RejectionReason.TOO_LARGE)

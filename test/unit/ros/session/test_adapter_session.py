@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -441,6 +442,21 @@ def test_a_bad_stamp_is_rejected():
     run(session, ODOMETRY, replace(message, raw=bytes(bad)))
 
     assert next(session.counts())[2]['rejected_bad_stamp'] == 1
+
+
+def test_a_stamp_after_which_no_other_fits_into_a_message_is_rejected():
+    session = session_of(formats=['detection3d_anonymous'])
+    # After the encapsulation, the seconds and nanoseconds.
+    stamp = struct.pack('<iI', 2**31 - 1, 10**9 - 1)
+    detected = [
+        replace(message, raw=message.raw[:4] + stamp + message.raw[12:]) for message in (
+            foreign.detections3d(5, frame, [('12', '3', SEEN, None)])
+            for frame in ('r1/base_link', 'r1/camera'))]
+
+    published = clouds(run(session, ODOMETRY, CAMERA, *detected))
+
+    assert published == []
+    assert next(session.counts())[2]['rejected_bad_stamp'] == 2
 
 
 def test_a_detection_of_a_box_only_is_where_the_box_is():
