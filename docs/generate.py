@@ -104,7 +104,8 @@ SERVICE_MEANINGS = {
 REASONS = {
     RejectionReason.NOT_FINITE: 'a value is NaN or infinite',
     RejectionReason.OUT_OF_RANGE:
-        'a value is larger than any measurement, or a variance is below 1e-12 m²',
+        'a value is larger than any measurement, a sensor is too far from its robot, or a variance'
+        ' is below 1e-12 m²',
     RejectionReason.WRONG_FRAME:
         'the frame of a scan is none of the base frame, the child frame of the odometry and'
         ' `<robot>.sensor_frame`, and no static transforms lead to it from the base frame',
@@ -119,7 +120,9 @@ REASONS = {
         ' a scan more than 256 bytes per such point plus 64 kB; decided by its header',
     RejectionReason.BAD_ID: 'ID below -1, or outside int32',
     RejectionReason.BAD_MESSAGE: 'message of another type, or truncated',
-    RejectionReason.BAD_STAMP: 'the nanoseconds of the stamp are a second or more',
+    RejectionReason.BAD_STAMP:
+        'the nanoseconds of the stamp are a second or more; of scans of lasers and of detections,'
+        ' also in the last minute that a stamp can name, in 2038',
     RejectionReason.DUPLICATE_ID: 'one ID twice in a scan; both observations are rejected',
     RejectionReason.NO_IDENTITY: 'ID -1, while the filter `ideal` and the smoother need IDs',
     RejectionReason.DUPLICATE: 'repeats robot, topic, stamp and content of an earlier message',
