@@ -8,6 +8,8 @@ from importlib.util import find_spec
 import math
 import os
 from pathlib import Path
+from shutil import get_terminal_size
+import textwrap
 
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError, UserError
@@ -43,8 +45,14 @@ def require_matplotlib(alternative: str = '') -> None:
 
 
 def parameter_help(parameters: Mapping[str, Parameter]) -> str:
-    """Return the help of ROS parameters, by name, as text for the help of a verb."""
-    return 'parameters:\n' + '\n'.join(f'  {name}: {p}' for name, p in parameters.items())
+    """Return the help of ROS parameters, with what each must be, for the help of a verb."""
+    # The width of argparse.
+    width = get_terminal_size().columns - 2
+    return '\n'.join(['parameters:', *(
+        textwrap.fill(
+            f'{name}: {p}; must be {p.kind.expected}', width, initial_indent='  ',
+            subsequent_indent='    ', break_long_words=False, break_on_hyphens=False)
+        for name, p in parameters.items())])
 
 
 def integer_option(option: str, least: int, most: float = math.inf) -> Callable[[str], int]:

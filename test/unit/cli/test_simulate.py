@@ -103,5 +103,8 @@ def test_bad_arguments_end_with_status_2(simulate, options):
 def test_help_describes_every_parameter(capsys):
     assert run_verb('simulate', '--help') == 0
 
-    text = capsys.readouterr().out
-    assert all(f'  {name}: {line}' in text for name, line in simulation.PARAMETERS.items())
+    # Lines are wrapped.
+    text = ' '.join(capsys.readouterr().out.split())
+    assert all(
+        f' {name}: {described}; must be {described.kind.expected}' in text
+        for name, described in simulation.PARAMETERS.items())
