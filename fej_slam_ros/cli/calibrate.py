@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _calibrate(arguments: argparse.Namespace) -> int:
     nodes = node_names(arguments, 'estimator')
     settings = parameters.load(arguments.params, nodes)
-    values = parameters.load_values(arguments.params, nodes)
+    values = parameters.load_values(arguments.params, nodes, parameters.no_warning)
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
     # Matches of observations without IDs would depend on the noise to calibrate.
@@ -121,6 +121,11 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         *_odometry_remarks(settings.estimation, odometry), *_remarks(collector, estimates),
         f'wrote {arguments.output}']))
     return 0
+
+
+def _parsed(values: Mapping[str, object]) -> parameters.RunSettings:
+    # What is wrong in the file was written when it was loaded.
+    return parameters.parse(values, parameters.no_warning)
 
 
 def _odometry_errors(
@@ -155,7 +160,7 @@ def _with_odometry_errors(
 ) -> dict[str, object]:
     """Return parameters with the systematic errors that were found, where they are others."""
     corrected = dict(values)
-    present = {robot.name: robot for robot in parameters.parse(values).estimation.robots}
+    present = {robot.name: robot for robot in _parsed(values).estimation.robots}
     for robot, (_, errors) in found.items():
         distance, turn, bias = (
             float(f'{value:.4g}') if is_known else float(value)
@@ -171,7 +176,7 @@ def _estimate(
     arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received]
 ) -> Estimates:
     """Return the scales of the requested sources, ground truth first."""
-    settings, amounts = parameters.parse(values), counts(records)
+    settings, amounts = _parsed(values), counts(records)
     errors: Mapping[str, Errors] = {}
     if arguments.source != 'innovations':
         errors = normalized_errors([record for record, _ in records], settings.estimation)
@@ -186,11 +191,11 @@ def _estimate(
     has_innovations = bool(amounts['landmark'] or amounts['robot'])
     if not estimates and not has_innovations:
         raise UserError(
-            f'{arguments.bag} has no observations with IDs, so there are no innovations:'
-            ' record ground truth or observations')
+            f'{arguments.bag} has no observations with IDs, which calibration without ground truth'
+            ' needs: record <robot>/ground_truth, or landmarks with IDs such as tags')
     if not rest or not has_innovations or arguments.source == 'truth':
         return estimates
-    corrected = parameters.parse(_corrected(values, estimates)).estimation
+    corrected = _parsed(_corrected(values, estimates)).estimation
     with tqdm(desc='search', unit='run', disable=None) as bar:
         likeliest = most_likely_scales(
             corrected, _beginning(records, arguments.seconds), rest,
@@ -227,7 +232,7 @@ def _scores(
     name: str, values: Mapping[str, object], records: Sequence[Received]
 ) -> dict[str, tuple[str, str, str]]:
     """Return NIS/dof, NEES/3 and the number of gated observations of each robot, as text."""
-    settings = parameters.parse(values)
+    settings = _parsed(values)
     estimator, _ = run_estimator(
         settings.estimation, tqdm(records, name, unit='msg', disable=None),
         prior_map(settings))

@@ -11,7 +11,7 @@ from fej_slam_ros.ros.parameters.schema import (
     as_parameters, Audience, deciding, declared_parameters, ESTIMATOR, known_parameters,
     QOS_OVERRIDES, QOS_POLICIES, SMOOTHER, Value)
 from fej_slam_ros.ros.parameters.values import (
-    given_values, PARAMETERS_OF_ROS, RENAMED_PARAMETERS, RESERVED_NAMES, robot_names,
+    given_values, no_warning, PARAMETERS_OF_ROS, RENAMED_PARAMETERS, RESERVED_NAMES, robot_names,
     STRICT_PARAMETERS, Warn, warn_once)
 from fej_slam_ros.ros.parameters.yaml_files import (
     dump, dump_values, load, load_parsed, load_values)
@@ -22,5 +22,5 @@ __all__ = [
     'NodeSettings', 'ParameterChange', 'RunSettings', 'Value', 'Warn', 'as_parameters',
     'changeable_parameters', 'changed_peers', 'changed_team', 'checked_changes', 'deciding',
     'declared_parameters', 'dump', 'dump_values', 'given_values', 'known_parameters', 'load',
-    'load_parsed', 'load_values', 'parse', 'rejection', 'robot_names', 'warn_once',
+    'load_parsed', 'load_values', 'no_warning', 'parse', 'rejection', 'robot_names', 'warn_once',
     'with_node_values', 'with_values']

@@ -42,6 +42,10 @@ Warn = Callable[[str], object]
 warn_once: Warn = cache(logging.getLogger(__name__).warning)
 
 
+def no_warning(text: str) -> None:
+    """Discard a warning about parameters that were read before, with warnings."""
+
+
 def with_current_names(values: Mapping[str, object], warn: Warn) -> dict[str, object]:
     """Return parameters with old names replaced by the present ones."""
     current = dict(values)
@@ -105,12 +109,12 @@ def robot_names(value: object, parameter: str = 'robots') -> tuple[str, ...]:
 def unknown_parameter(
     name: str, known: Mapping[str, Parameter], robots: Sequence[str] = (), effect: str = ''
 ) -> str:
-    """Return the sentence about a parameter of an unknown name, with the nearest known one."""
+    """Return the sentence about a parameter of an unknown name, with a known one if it is near."""
     name = shortened(name)
-    nearest = get_close_matches(name, known, n=1, cutoff=0.0)[0]
     owner, dot, _ = name.partition('.')
-    reason = f'{owner!r} is not in robots, ' if dot and robots and owner not in robots else ''
-    return f'unknown parameter {name!r}{effect}: {reason}did you mean {nearest!r}?'
+    remarks = [f'{owner!r} is not in robots'] if dot and robots and owner not in robots else []
+    remarks += [f'did you mean {near!r}?' for near in get_close_matches(name, known, n=1)]
+    return f'unknown parameter {name!r}{effect}' + (f': {", ".join(remarks)}' if remarks else '')
 
 
 def shortened(text: str) -> str:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import json
 from pathlib import Path
 import re
-from typing import TypeVar
+from typing import TypeGuard, TypeVar
 
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -31,17 +31,19 @@ T = TypeVar('T')
 
 def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
     """Return the settings in a ROS parameter file for nodes without namespace."""
-    return load_parsed(
-        path, nodes, lambda values, _: parse(values, lambda text: warn(f'{path}: {text}')), warn)
+    return load_parsed(path, nodes, parse, warn)
 
 
 def load_parsed(
     path: Path, nodes: Sequence[str], parse_values: Callable[[Mapping[str, object], Warn], T],
     warn: Warn = warn_once,
 ) -> T:
-    """Return settings parsed from a ROS parameter file; a UsageError begins with its path."""
+    """Return settings parsed from a file; a UsageError and each warning begin with its path."""
+    def warn_with_path(text: str) -> None:
+        warn(f'{path}: {text}')
+
     try:
-        return parse_values(load_values(path, nodes, warn), warn)
+        return parse_values(load_values(path, nodes, warn_with_path), warn_with_path)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
 
@@ -57,6 +59,10 @@ def load_values(
     if not values:
         raise UsageError(
             f'no parameters for the node {nodes[-1]!r}: {PLACE}')
+    # Offline they have a meaning all the same, but a node would not start with this file.
+    for name, value in values.items():
+        if _is_mixed(value):
+            warn(_mixed_list(name, value))
     return with_current_names(values, warn)
 
 
@@ -69,10 +75,8 @@ def check_for_ros(path: Path) -> None:
         for _, name, value in parameters:
             if value is None:
                 raise UsageError(f'parameter {name!r} has no value: give it one, or leave it out')
-            if isinstance(value, list) and {type(v) for v in value} == {int, float}:
-                raise UsageError(
-                    f'parameter {name!r} mixes integers and floats, which ROS refuses: write'
-                    f' {[float(v) for v in value]}')
+            if _is_mixed(value):
+                raise UsageError(_mixed_list(name, value))
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
 
@@ -93,6 +97,16 @@ def dump_values(values: Mapping[str, object]) -> str:
     lines = [
         f'    {name}: {json.dumps(value, ensure_ascii=False)}\n' for name, value in values.items()]
     return '/**:\n  ros__parameters:\n' + ''.join(lines)
+
+
+def _is_mixed(value: object) -> TypeGuard[list[float]]:
+    return isinstance(value, list) and {type(v) for v in value} == {int, float}
+
+
+def _mixed_list(name: str, value: Sequence[float]) -> str:
+    return (
+        f'parameter {name!r} mixes integers and floats, which ROS refuses: write'
+        f' {[float(v) for v in value]}')
 
 
 def _applies(section: str, node: str) -> bool:

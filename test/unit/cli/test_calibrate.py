@@ -153,6 +153,16 @@ def test_other_parameters_are_kept_and_used(calibrate, places):
     assert written.get('r1.landmark_noise_scale', 0.5) == pytest.approx(0.5, rel=0.1)
 
 
+def test_what_is_wrong_in_the_file_is_written_once(calibrate, places, caplog):
+    write_parameters(places[1], robots=['r1', 'r2'], max_delai=0.2)
+
+    status, *_ = calibrate(RECORDS)
+
+    assert status == 0
+    assert caplog.messages == [
+        f"{places[1]}: unknown parameter 'max_delai' is ignored: did you mean 'max_delay'?"]
+
+
 def test_too_little_data_is_reported(calibrate, places):
     begin = [r for r in RECORDS if isinstance(r, TrueLandmarks) or r.stamp < 13 * 10**9]
 

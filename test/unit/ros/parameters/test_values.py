@@ -74,6 +74,16 @@ def test_an_unknown_parameter_is_a_warning_or_if_strict_an_error(unknown, value,
     assert str(caught.value) == f'unknown parameter {unknown!r}: {nearest}'
 
 
+def test_no_name_is_proposed_for_an_unknown_parameter_that_is_like_none():
+    warnings = []
+
+    parse({'robots': ['r1'], 'camera_topic': '/image', 'r7.usb_port': 3}, warnings.append)
+
+    assert warnings == [
+        "unknown parameter 'camera_topic' is ignored",
+        "unknown parameter 'r7.usb_port' is ignored: 'r7' is not in robots"]
+
+
 def test_a_team_must_be_given():
     with pytest.raises(UsageError, match="'robots' is missing"):
         parse({'anchor': 'r1'})

@@ -9,7 +9,8 @@ import pytest
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
-    dump, ESTIMATOR, known_parameters, load, load_values, parse, RunSettings)
+    dump, ESTIMATOR, known_parameters, load, load_parsed, load_values, parse, RunSettings)
+from fej_slam_ros.ros.parameters.detector_settings import parse_detector
 from helpers.optional import given
 from helpers.paths import ROOT
 from helpers.settings import TRICKY_NAMES, valid_settings
@@ -198,3 +199,24 @@ def test_an_old_name_in_a_file_is_replaced_with_one_warning(file):
     path = file('/**: {ros__parameters: {robots: [r1], second_look: true}}\n')
     assert load(path, warn=warnings.append).estimation.inflate_rejected_scans
     assert len(warnings) == 1
+
+
+def test_a_list_for_which_ros_refuses_the_file_is_a_warning_offline(file):
+    warnings = []
+    path = file('/**: {ros__parameters: {robots: [r1], anchor_pose: [1, 0.5, 0]}}\n')
+
+    settings = load(path, warn=warnings.append)
+
+    assert settings.estimation.anchor_pose == (1.0, 0.5, 0.0)
+    sentence = "parameter 'anchor_pose' mixes integers and floats, which ROS refuses: write "
+    assert warnings == [f'{path}: {sentence}[1.0, 0.5, 0.0]']
+
+
+def test_a_warning_begins_with_the_path_for_settings_of_any_node(file):
+    warnings = []
+    path = file('/**: {ros__parameters: {robots: [r1], min_beam: 4}}\n')
+
+    load_parsed(path, ['detector'], parse_detector, warnings.append)
+
+    assert warnings == [
+        f"{path}: unknown parameter 'min_beam' is ignored: did you mean 'min_beams'?"]
