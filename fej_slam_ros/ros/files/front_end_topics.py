@@ -21,14 +21,19 @@ def formats_in(topics: Mapping[str, BagTopic], robot: str) -> list[str]:
 
 def cure(topics: Mapping[str, BagTopic], robot: str) -> str:
     """Return how observations of a robot are computed from a bag, '' if they cannot be."""
-    scan = topics.get(f'{robot}/scan')
+    scans = [
+        name for name, topic in topics.items() if topic.messages and topic.type_name == LASER_SCAN]
+    of_no_robot = [name for name in scans if f'{name.rpartition("/")[0]}/odom' not in topics]
     formats = formats_in(topics, robot)
-    if scan is not None and scan.messages and scan.type_name == LASER_SCAN:
-        return (
-            f'find posts or reflectors in {robot}/scan: detect BAG --params FILE --output'
-            ' LANDMARKS')
+    detect = 'detect BAG --params FILE --output LANDMARKS'
+    if f'{robot}/scan' in scans:
+        return f'find posts or reflectors in {robot}/scan: {detect}'
     if formats:
         return (
             f'use {robot}/{FORMATS[formats[0]].topic} (formats: [{formats[0]}]): adapt BAG'
             ' --params FILE --output LANDMARKS')
+    if len(of_no_robot) == 1:
+        return (
+            f'find posts or reflectors in {of_no_robot[0]}: {detect} --remap'
+            f' /{of_no_robot[0]}:=/{robot}/scan, beside the --remap of its odometry')
     return ''
