@@ -5,6 +5,7 @@
 import csv
 from dataclasses import fields
 import json
+from pathlib import Path
 import re
 from unittest import mock
 
@@ -19,7 +20,7 @@ from fej_slam_ros.cli.main import executable
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros import parameters
-from fej_slam_ros.ros.files import bags, checksums
+from fej_slam_ros.ros.files import bags, checkpoint, checksums
 from fej_slam_ros.ros.messages import incoming, incoming_clouds, outgoing, RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -207,6 +208,11 @@ def drive(run, messages):
         run.receive(message)
         published += run.take()
     return [*published, *run.close()]
+
+
+def save(run):
+    """Write the checkpoint of a run."""
+    checkpoint.write(Path(run.settings.node.checkpoint), run.checkpoint_content())
 
 
 def run_bag(bag):

@@ -7,7 +7,7 @@ import pytest
 from fej_slam_ros.ros.parameters import parse
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.optional import optional
-from helpers.ros import meeting, raw_record, summary_of, write_parameters
+from helpers.ros import meeting, raw_record, save, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 services = optional('rcl_interfaces.srv')
@@ -105,7 +105,7 @@ def test_a_restored_run_has_the_changed_parameters(domain, tmp_path):
     path = str(tmp_path / 'run.checkpoint')
     run = EstimatorSession(parse(TEAM | {'checkpoint': path}), None)
     run.change_parameters({'r2.landmark_noise_scale': 2.0, 'max_delay': 0.5})
-    run.save()
+    save(run)
 
     node = domain.estimate(**TEAM, restore=path)
 

@@ -9,7 +9,7 @@ import pytest
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.optional import optional
-from helpers.ros import meeting, odometry_message, raw, raw_record, write_parameters
+from helpers.ros import meeting, odometry_message, raw, raw_record, save, write_parameters
 
 parameter = optional('rclpy.parameter')
 live_helpers = optional('helpers.live')
@@ -94,7 +94,7 @@ def test_a_restored_run_has_its_own_team(domain, tmp_path):
     path = str(tmp_path / 'run.checkpoint')
     run = EstimatorSession(parameters.parse(TEAM | {'checkpoint': path}), None)
     run.change_team(['r1', 'r3'])
-    run.save()
+    save(run)
 
     node = domain.estimate(**TEAM, restore=path)
 

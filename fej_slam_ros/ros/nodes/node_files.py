@@ -96,19 +96,19 @@ class NodeFiles:
         """Return whether a checkpoint is being written."""
         return self._checkpoint is not None and self._checkpoint.is_busy
 
-    def begin_checkpoint(self, _path: Path, content: bytes) -> None:
+    def begin_checkpoint(self, content: bytes) -> None:
         """Begin to write a checkpoint."""
         if self._checkpoint is not None:
             self._checkpoint.begin(content)
 
-    def begin_last_checkpoint(self, _path: Path, content: bytes) -> None:
+    def begin_last_checkpoint(self, content: bytes) -> None:
         """Begin to write the checkpoint of the end of a run, after one that is being written."""
         if self._checkpoint is not None:
             error = self._checkpoint.wait(REQUEST_WAIT)
             if not self._checkpoint.begin(content):
                 self.note('checkpoint', error)
 
-    def save_checkpoint(self, _path: Path, content: bytes) -> None:
+    def save_checkpoint(self, content: bytes) -> None:
         """Write a checkpoint on request; raise UserError if that fails or takes too long."""
         if self._checkpoint is not None:
             self._checkpoint.save(content, REQUEST_WAIT)

@@ -4,6 +4,7 @@
 
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from time import monotonic
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -51,7 +52,7 @@ class RunSaver:
             return
         self._is_autosaving = True
         try:
-            self._session().save(self._files.begin_checkpoint)
+            self._files.begin_checkpoint(self._session().checkpoint_content())
         except UserError as error:
             self._files.note('checkpoint', str(error))
         self._next_save = max(
@@ -60,12 +61,13 @@ class RunSaver:
     def save_last(self) -> None:
         """Begin the checkpoint of the end of a run."""
         with suppress(UserError):
-            self._session().save(self._files.begin_last_checkpoint)
+            self._files.begin_last_checkpoint(self._session().checkpoint_content())
 
     def save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Answer a request of the service ``~/save``."""
         try:
-            path = self._session().save(self._files.save_checkpoint)
+            self._files.save_checkpoint(self._session().checkpoint_content())
+            path = Path(self._session().settings.node.checkpoint)
             self._log.info(f'checkpoint written to {path}')
             response.message = f'saved to {path}'
             response.success = True

@@ -26,7 +26,6 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import NoiseSettings, Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
-from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile, LiveExchangeFile
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
 from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
@@ -221,7 +220,7 @@ class PeerSession(SmootherSession):
             b'', JoinFailure(error), 0, None)
         self.log.add_failed_rendezvous(task.peer, error)
 
-    def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
+    def checkpoint_content(self) -> bytes:
         """Reject it: the file of the exchange has all measurements at any time."""
         raise UsageError(
             "a smoother with 'peers' has no checkpoints: it keeps all measurements in the file of"

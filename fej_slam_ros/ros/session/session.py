@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import islice
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -17,7 +16,6 @@ from fej_slam_ros.core.records import PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.live_files import LiveFiles
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.messages import RawMessage
@@ -105,13 +103,11 @@ class Session(ABC):
         except EndedError:
             return None
 
-    def save(self, write: Callable[[Path, bytes], object] = checkpoint.write) -> Path:
-        """Write the checkpoint by a function of its path and content; return the path."""
+    def checkpoint_content(self) -> bytes:
+        """Return the content of a checkpoint; raise a UsageError if there is no file for it."""
         if not self.settings.node.checkpoint:
             raise UsageError("there is no file to save to: give the parameter 'checkpoint'")
-        path = Path(self.settings.node.checkpoint)
-        write(path, self._checkpoint_content())
-        return path
+        return self._checkpoint_content()
 
     @abstractmethod
     def _checkpoint_content(self) -> bytes:

@@ -19,7 +19,7 @@ from helpers.paths import BAGS
 from helpers.records import team
 from helpers.ros import (
     assert_one_sentence, csv_rows, decoded, meeting, odometry_message, raw, raw_record,
-    run_settings, run_verb, summary_of, write_bag, write_parameters)
+    run_settings, run_verb, save, summary_of, write_bag, write_parameters)
 
 
 #: Two robots that observe the same landmarks, and two that observe each other.
@@ -215,7 +215,7 @@ def test_a_checkpoint_of_a_live_run_is_continued_only_by_the_option(smooth, plac
     for message in RENDEZVOUS[:300]:
         live.receive(message)
         list(live.take())
-    live.save()
+    save(live)
     supervised = {**team, 'checkpoint': str(saved), 'restore': str(saved)}
 
     assert smooth(RENDEZVOUS, **supervised)[0] == 0

@@ -25,8 +25,8 @@ from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
 from helpers.records import MS
 from helpers.ros import (
-    drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, seen,
-    summary_of, write_bag)
+    drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, save,
+    seen, summary_of, write_bag)
 
 #: A scan that waits until odometry has named its frame, and messages that are not used.
 HELD = raw('r1/landmarks', seen((1, 5.0, 1.0), frame='r1/base_link'), 0)
@@ -48,7 +48,7 @@ def interrupted(path, messages, **changes):
     for message in messages:
         run.receive(message)
         list(run.take())
-    run.save()
+    save(run)
     return run
 
 
@@ -131,7 +131,7 @@ def test_odometry_that_waits_for_the_check_of_a_late_start_is_used_after_a_resta
     saved = EstimatorSession(run_settings(checkpoint=str(path), **known), None)
     saved.check_starts(Sent(20))
     drive_on(saved, sent[:cut])
-    saved.save()
+    save(saved)
     restored = EstimatorSession(run_settings(restore=str(path), **known), None)
     restored.check_starts(Sent(20 + cut // 2))
     drive(restored, sent[cut:])
@@ -150,7 +150,7 @@ def test_a_robot_is_relocalized_at_its_newest_odometry_also_by_the_first_request
 ):
     run = session(run_settings(checkpoint=str(path)), None)
     drive_on(run, map(raw_record, meeting(8)))
-    run.save()
+    save(run)
 
     restored = session(run_settings(restore=str(path)), None)
 
@@ -193,7 +193,7 @@ def test_a_run_that_restores_its_own_checkpoint_starts_new_once_and_continues_af
         for message in part:
             run.receive(message)
             list(run.take())
-        run.save()
+        save(run)
     list(run.close())
 
     assert restored == [False, True, True]
@@ -430,7 +430,7 @@ def test_parameters_that_changed_before_and_after_a_checkpoint_decide_as_in_one_
     changed(whole, MESSAGES)
     first = EstimatorSession(run_settings(checkpoint=str(path)), None)
     changed(first, MESSAGES[:12])
-    first.save()
+    save(first)
 
     second = EstimatorSession(run_settings(restore=str(path)), None)
     drive_on(second, MESSAGES[12:])
@@ -480,7 +480,7 @@ def test_a_later_checkpoint_replaces_the_earlier_one(path):
 
 def test_saving_without_a_file_names_the_missing_parameter():
     with pytest.raises(UsageError, match="give the parameter 'checkpoint'"):
-        EstimatorSession(run_settings(), None).save()
+        EstimatorSession(run_settings(), None).checkpoint_content()
 
 
 def test_a_path_that_cannot_be_written_is_named():
@@ -495,7 +495,7 @@ def smoothed(messages, path=None, cuts=()):
     run = SmootherSession(settings, None)
     for number, message in enumerate(messages):
         if number in cuts:
-            run.save()
+            save(run)
             run = SmootherSession(settings, None)
             assert run.is_restored
         run.receive(message)
@@ -520,12 +520,12 @@ def test_a_checkpoint_of_the_other_node_is_refused(path):
     with pytest.raises(UsageError, match='is a checkpoint of the estimator, not of the smoother'):
         SmootherSession(run_settings(restore=str(path)), None)
 
-    SmootherSession(run_settings(checkpoint=str(path)), None).save()
+    save(SmootherSession(run_settings(checkpoint=str(path)), None))
     assert 'is a checkpoint of the smoother, not of the estimator: give one' in rejected(path)
 
 
 def test_a_checkpoint_of_a_smoother_does_not_depend_on_parameters_of_the_estimator(path):
-    SmootherSession(run_settings(checkpoint=str(path)), None).save()
+    save(SmootherSession(run_settings(checkpoint=str(path)), None))
 
     SmootherSession(run_settings(restore=str(path), filter='invariant'), None)
 
@@ -546,4 +546,4 @@ def test_a_smoother_with_peers_is_not_saved():
     run = PeerSession(parameters.parse({'robots': ['r1'], 'peers': ['r2']}), None)
 
     with pytest.raises(UsageError, match="the parameter 'exchange_file'"):
-        run.save()
+        run.checkpoint_content()

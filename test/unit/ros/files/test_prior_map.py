@@ -15,7 +15,7 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure
 from fej_slam_ros.sim.world import make_world
-from helpers.ros import drive, meeting, raw_record, run_settings
+from helpers.ros import drive, meeting, raw_record, run_settings, save
 
 #: What an ID must be.
 AN_ID = 'an integer from -1073741824 to 2147483647 other than -1'
@@ -127,7 +127,7 @@ def first_run(folder, messages=MESSAGES, **changes):
     run = EstimatorSession(run_settings(checkpoint=str(folder / 'checkpoint'), **changes), folder)
     drive(run, messages)
     run.write_files()
-    run.save()
+    save(run)
     return run
 
 
@@ -193,7 +193,7 @@ def test_a_restored_run_needs_the_same_prior_map_and_continues_bit_for_bit(file,
     for message in MESSAGES[:20]:
         begun.receive(message)
         list(begun.take())
-    begun.save()
+    save(begun)
 
     restored = EstimatorSession(file(survey, 'moved.csv', restore=str(saved)), None)
     drive(restored, MESSAGES[20:])
