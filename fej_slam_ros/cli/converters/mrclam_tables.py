@@ -64,7 +64,7 @@ def _observation_rows(
 ) -> Iterator[tuple[str, ...]]:
     landmarks, robots = observation_errors.observation_errors(data)
     by_kind = {
-        kind: observation_errors.observation_noise(errors)
+        kind: observation_errors.error_statistics(errors)
         for kind, errors in (('of landmarks', landmarks), ('of robots', robots))
         if not errors.outliers().all()}
     measured = by_kind.values()
@@ -73,7 +73,8 @@ def _observation_rows(
     yield ('gross [%]', *(f'{100 * m.outliers / m.count:.2f}' for m in measured))
     for label, form, field in (
         ('range sd [m]', '.3f', 'range_sd'), ('range mean [m]', '.3f', 'range_mean'),
-        ('range rms per metre', '.4f', 'range_growth'), ('bearing sd [rad]', '.4f', 'bearing_sd'),
+        ('range rms per metre', '.4f', 'relative_range_rms'),
+        ('bearing sd [rad]', '.4f', 'bearing_sd'),
         ('bearing mean [rad]', '.4f', 'bearing_mean'), ('bearing rms [rad]', '.4f', 'bearing_rms'),
     ):
         yield (label, *(format(getattr(m, field), form) for m in measured))

@@ -20,11 +20,11 @@ from fej_slam_ros.datasets.mrclam.series import Series
 
 #: True poses are compared over windows from 1 s to `MAX_WINDOW`, in errors up to 1 rad.
 MIN_WINDOW, MAX_WINDOW = NS, 60 * NS
-MIN_WINDOWS = 4
+MIN_TURNS = 4
 #: Observations of a robot by another within this time [ns] are one meeting: their errors are
 #: correlated. Landmarks observed within half of it are compared, in errors up to 1 m.
 MEETING_TIME = 10 * NS
-#: Number of meetings that tell, and of observations of one robot by another that are used.
+#: Minimum number of meetings, and maximum of observations of one robot by another that are used.
 MIN_MEETINGS, MAX_OBSERVATIONS = 8, 500
 #: Maximum error by the right clock, relative to that by another.
 MAX_ERROR_RATIO = 0.9
@@ -51,11 +51,10 @@ class ClockEvidence:
     def _turn_error(self, drive: ClockPart) -> float:
         """Return the mean error [rad] of turns between true poses; inf if these are too few."""
         commands = drive.commands
-        within = self.truth.between(commands.stamps[0], commands.stamps[-1])
-        seconds = within.stamps // MIN_WINDOW
-        within = within[np.diff(seconds, prepend=-1) > 0]
+        within = self.truth.between(
+            commands.stamps[0], commands.stamps[-1]).first_in_windows(0, MIN_WINDOW)
         used = np.diff(within.stamps) <= MAX_WINDOW
-        if used.sum() < MIN_WINDOWS:
+        if used.sum() < MIN_TURNS:
             return np.inf
         headings = poses_at(within.stamps, commands.stamps, odometry(commands))[:, 2]
         errors = np.abs(wrap_all(np.diff(within.rows[:, 2]) - np.diff(headings)))

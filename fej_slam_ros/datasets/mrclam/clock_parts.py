@@ -22,13 +22,13 @@ class ClockPart:
     commands: Series
     observations: Series  #: Subject, range [m], bearing [rad, left]
     #: Stamps of the first commands after another clock: the time before these is not known well
-    joints: tuple[int, ...] = ()
+    clock_changes: tuple[int, ...] = ()
 
     def shifted(self, shift: int) -> 'ClockPart':
         """Return the rows with stamps on another clock [ns]."""
         return ClockPart(
             self.commands.shifted(shift), self.observations.shifted(shift),
-            tuple(stamp + shift for stamp in self.joints))
+            tuple(stamp + shift for stamp in self.clock_changes))
 
     def divided(self, row: int) -> tuple['ClockPart', 'ClockPart']:
         """Return the rows before the command at a row, and from it on."""
@@ -37,10 +37,10 @@ class ClockPart:
         return (
             ClockPart(
                 self.commands[:row], self.observations[~is_later],
-                tuple(stamp for stamp in self.joints if stamp < begin)),
+                tuple(stamp for stamp in self.clock_changes if stamp < begin)),
             ClockPart(
                 self.commands[row:], self.observations[is_later],
-                tuple(stamp for stamp in self.joints if stamp >= begin)))
+                tuple(stamp for stamp in self.clock_changes if stamp >= begin)))
 
     def is_next_to(self, other: 'ClockPart') -> bool:
         """Return whether all commands of one are soon after those of the other."""
@@ -55,7 +55,7 @@ class ClockPart:
         return ClockPart(
             joined([part.commands for part in parts]).in_order(),
             joined([part.observations for part in parts]).in_order(),
-            (*(stamp for part in parts for stamp in part.joints), *begins))
+            (*(stamp for part in parts for stamp in part.clock_changes), *begins))
 
 
 def odometry(commands: Series) -> Array:

@@ -28,12 +28,12 @@ COMPARED_TIME = 20 * NS
 #: range, and per metre times the root of the seconds in between, in which odometry turns away.
 POSITION_TOLERANCE = np.array([0.2, 0.08, 0.04])
 #: Share of the landmarks that must agree; a bar code may be misread.
-MOST = 0.75
+MIN_AGREEING_SHARE = 0.75
 #: Share of copies among the rows at a time that was passed before, if these are repeated, and
 #: number of different ones: rows of another time may be equal by chance.
 MIN_COPIES, MIN_DIFFERENT = 0.8, 3
 #: Longest time without rows [ns] that is no sign of a clock that was set forward.
-MAX_GAP = 3 * NS // 2
+MAX_COMMAND_GAP = 3 * NS // 2
 
 
 def in_order(
@@ -45,7 +45,7 @@ def in_order(
     Parameters
     ----------
     commands, observations : in the order of recording, by one clock
-    evidence : tells which clock was right, where the rows have several
+    evidence : shows which clock was right, where the rows have several
     counts : is increased by the rows that were late, repeated, shifted or left out
 
     """
@@ -56,7 +56,7 @@ def in_order(
         part = _without_steps_back(commands, observations, evidence, counts)
     else:
         part = ClockPart(commands.in_order(), observations.in_order())
-    for row in (np.flatnonzero(np.diff(part.commands.stamps) > MAX_GAP) + 1).tolist():
+    for row in (np.flatnonzero(np.diff(part.commands.stamps) > MAX_COMMAND_GAP) + 1).tolist():
         part = _without_step_forward(part, row, evidence, counts)
     return part
 
@@ -144,7 +144,7 @@ def _goes_on(earlier: ClockPart, later: ClockPart, moving: Container[int]) -> bo
     shift = _shift(earlier.commands, later.commands)
     differences = _landmark_differences(earlier, later.shifted(shift), moving)
     if differences:
-        return float(np.quantile(differences, MOST)) <= 1.0
+        return float(np.quantile(differences, MIN_AGREEING_SHARE)) <= 1.0
     return shift <= MAX_STEP
 
 

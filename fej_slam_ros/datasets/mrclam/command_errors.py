@@ -86,14 +86,14 @@ def motion_delay(data: MrclamSet, options: ConversionOptions) -> float:
     """Return the delay [s] with which the commands fit the turns of the robots best."""
     def error(delay: float) -> float:
         windows = increments(data, replace(options, motion_delay=delay), DELAY_WINDOW)
-        return rms(windows.true[:, 2] - _ratio(windows, 2) * windows.measured[:, 2])
+        return rms(windows.true[:, 2] - _turn_ratio(windows) * windows.measured[:, 2])
 
     return float(minimize_scalar(error, bounds=(0.0, MAX_MOTION_DELAY), options={'xatol': 1e-3}).x)
 
 
 def turn_ratio(data: MrclamSet, options: ConversionOptions) -> float:
     """Return the ratio of true to commanded turns, by least squares over `SPEED_WINDOW`."""
-    return _ratio(increments(data, options, SPEED_WINDOW), 2)
+    return _turn_ratio(increments(data, options, SPEED_WINDOW))
 
 
 def forward_speed(data: MrclamSet, options: ConversionOptions) -> tuple[float, float]:
@@ -148,9 +148,8 @@ def _displacements(log: RobotLog, options: ConversionOptions) -> tuple[Array, Ar
 
 def _in_windows(log: RobotLog, stamps: Stamps) -> Series:
     """Return the first true pose in each window of odometry."""
-    true = log.truth.between(stamps[0], stamps[-1])
-    windows = (true.stamps - stamps[0]) // round(SPEED_WINDOW * NS)
-    return true[np.diff(windows, prepend=-1) > 0]
+    return log.truth.between(stamps[0], stamps[-1]).first_in_windows(
+        int(stamps[0]), round(SPEED_WINDOW * NS))
 
 
 def own_turns(data: MrclamSet, options: ConversionOptions) -> dict[int, tuple[float, float]]:
@@ -180,8 +179,8 @@ def _own_turns(log: RobotLog, options: ConversionOptions) -> tuple[float, float]
     return per_metre, per_radian
 
 
-def _ratio(windows: WindowIncrements, axis: int) -> float:
-    """Return the ratio of true to measured increments; 1 for robots that never move."""
-    true, measured = windows.true[:, axis], windows.measured[:, axis]
-    moved = float(measured @ measured)
-    return float(true @ measured) / moved if moved else 1.0
+def _turn_ratio(windows: WindowIncrements) -> float:
+    """Return the ratio of true to measured turns; 1 for robots that never turn."""
+    true, measured = windows.true[:, 2], windows.measured[:, 2]
+    turned = float(measured @ measured)
+    return float(true @ measured) / turned if turned else 1.0

@@ -30,7 +30,7 @@ STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
 #: highest speeds.
 MAX_COMMAND_HOLD = 2 * NS
 #: Time [ns] without commands that may be missing where a clock was set.
-JOINT_TIME = NS // 2
+CLOCK_CHANGE_TIME = NS // 2
 #: Turn rate [rad/s] above which a robot is slowed down no further; set 6 has none.
 MAX_SLOWING_RATE = 0.41
 #: Standard deviation of the angles [rad] at which cameras are mounted.
@@ -130,23 +130,23 @@ def odometry(log: RobotLog, options: ConversionOptions) -> tuple[Stamps, Array]:
 def increment_variances(log: RobotLog, options: ConversionOptions) -> Array:
     """Return the variances (n - 1, 3) of the increments (x, y, phi) of odometry [m^2, rad^2]."""
     dt = np.diff(log.commands.stamps)[:, None] / NS
-    speeds, noise = np.abs(log.commands.rows), options.noise
-    rates = speeds[:-1] @ np.array([noise.position, (0.0, 0.0), noise.heading]).T
+    commanded, noise = np.abs(log.commands.rows), options.noise
+    rates = commanded[:-1] @ np.array([noise.position, (0.0, 0.0), noise.heading]).T
     variances: Array = dt * (STANDSTILL_VARIANCE + rates)
-    unknown, at_joint = unknown_motion(log), _at_joint(log)
-    unknown_time = dt[unknown] + at_joint[unknown, None] * JOINT_TIME / NS
-    v, w = speeds.max(axis=0)
+    unknown, at_change = unknown_motion(log), _at_clock_change(log)
+    unknown_time = dt[unknown] + at_change[unknown, None] * CLOCK_CHANGE_TIME / NS
+    v, w = commanded.max(axis=0)
     variances[unknown] += np.square(unknown_time * [v, v, w])
     return variances
 
 
 def unknown_motion(log: RobotLog) -> Flags:
     """Return between which commands (n - 1,) motion is unknown: in long gaps, at set clocks."""
-    return (np.diff(log.commands.stamps) > MAX_COMMAND_HOLD) | _at_joint(log)
+    return (np.diff(log.commands.stamps) > MAX_COMMAND_HOLD) | _at_clock_change(log)
 
 
-def _at_joint(log: RobotLog) -> Flags:
-    return np.isin(log.commands.stamps[1:], log.joints)
+def _at_clock_change(log: RobotLog) -> Flags:
+    return np.isin(log.commands.stamps[1:], log.clock_changes)
 
 
 def sums_between(edges: Stamps, stamps: Stamps, amounts: Array) -> Array:

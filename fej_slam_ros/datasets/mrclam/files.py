@@ -49,7 +49,7 @@ class RobotLog:
     truth: Series  #: True poses [x, y, phi]; empty without motion capture
     counts: Counter[str]  #: Number of rows that were dropped or out of order, by reason
     #: Stamps of the first commands after another clock, before which motion may be missing
-    joints: tuple[int, ...] = ()
+    clock_changes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -144,7 +144,7 @@ def _checked(log: RobotLog, ordered: ClockPart) -> RobotLog:
     commands = drop(commands, replaced, 'command replaced at its own stamp', counts)
     return replace(
         log, commands=commands, observations=_once_in_scan(ordered.observations, counts),
-        truth=_without_slips(log.truth, commands, counts), joints=ordered.joints)
+        truth=_without_slips(log.truth, commands, counts), clock_changes=ordered.clock_changes)
 
 
 def _identified(

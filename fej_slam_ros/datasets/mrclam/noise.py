@@ -40,10 +40,38 @@ def is_measurable(data: MrclamSet) -> bool:
     return len(increments(data, ConversionOptions(), GROWTH_WINDOW).true) >= MIN_WINDOWS
 
 
-def measured_options(
+def best_options(
     data: MrclamSet, motion_delay: float | None = None,
     odometry_scale: tuple[float, float] | None = None, camera_delay: float | None = None,
     thin: float = ConversionOptions.thin,
+) -> ConversionOptions:
+    """
+    Return the options as given, else as measured, else the defaults.
+
+    Without the ground truth that `is_measurable` needs, delays and scale are the defaults; the
+    rest is measured between sparse true poses, and by observations near them.
+
+    """
+    if is_measurable(data):
+        return _measured_options(data, motion_delay, odometry_scale, camera_delay, thin)
+    options = ConversionOptions(thin=thin)
+    if motion_delay is not None:
+        options = replace(options, motion_delay=motion_delay)
+    if camera_delay is not None:
+        options = replace(options, camera_delay=camera_delay)
+    options = _with_speeds(data, options, options.odometry_scale[1], odometry_scale)
+    factor = _odometry_variance_factor(data, options)
+    noise = replace(
+        options.noise, position=_scaled(options.noise.position, factor),
+        heading=_scaled(options.noise.heading, factor))
+    return _with_observation_noise(
+        replace(options, noise=noise), *errors_near_truth(data, options), noise.range,
+        noise.bearing)
+
+
+def _measured_options(
+    data: MrclamSet, motion_delay: float | None, odometry_scale: tuple[float, float] | None,
+    camera_delay: float | None, thin: float,
 ) -> ConversionOptions:
     """Return the options with measured delays and scale, unless given, and the remaining noise."""
     if motion_delay is None:
@@ -62,35 +90,6 @@ def measured_options(
     options = _with_observation_noise(
         options, *observation_errors.observation_errors(data, camera_delay))
     return replace(options, correlation_factor=_correlation_factor(data, options))
-
-
-def best_options(
-    data: MrclamSet, motion_delay: float | None = None,
-    odometry_scale: tuple[float, float] | None = None, camera_delay: float | None = None,
-    thin: float = ConversionOptions.thin,
-) -> ConversionOptions:
-    """
-    Return the options as given, else as measured, else the defaults.
-
-    Without the ground truth that `is_measurable` needs, delays and scale are the defaults; the
-    rest is measured between sparse true poses, and by observations near them.
-
-    """
-    if is_measurable(data):
-        return measured_options(data, motion_delay, odometry_scale, camera_delay, thin)
-    options = ConversionOptions(thin=thin)
-    if motion_delay is not None:
-        options = replace(options, motion_delay=motion_delay)
-    if camera_delay is not None:
-        options = replace(options, camera_delay=camera_delay)
-    options = _with_speeds(data, options, options.odometry_scale[1], odometry_scale)
-    factor = _odometry_variance_factor(data, options)
-    noise = replace(
-        options.noise, position=_scaled(options.noise.position, factor),
-        heading=_scaled(options.noise.heading, factor))
-    return _with_observation_noise(
-        replace(options, noise=noise), *errors_near_truth(data, options), noise.range,
-        noise.bearing)
 
 
 def _with_speeds(

@@ -63,7 +63,7 @@ class ObservationErrors:
 
 
 @dataclass(frozen=True, slots=True)
-class ObservationNoise:
+class ErrorStatistics:
     """Statistics of observation errors without outliers."""
 
     #: Number of all observations, and of the outliers.
@@ -74,7 +74,7 @@ class ObservationNoise:
     range_mean: float
     bearing_sd: float
     bearing_mean: float
-    range_growth: float  #: Root mean square of range errors per metre of range
+    relative_range_rms: float  #: Root mean square of range errors per metre of range
     bearing_rms: float  #: Root mean square of bearing errors [rad]
     #: Correlation of range errors by interval of lags [s]; nan without pairs.
     correlation: Mapping[tuple[float, float], float]
@@ -193,12 +193,12 @@ def without_systematic_errors(
     return replace(errors, bearings=bearings, ranges=ranges)
 
 
-def observation_noise(errors: ObservationErrors) -> ObservationNoise:
+def error_statistics(errors: ObservationErrors) -> ErrorStatistics:
     """Return the statistics of errors; at least one must not be an outlier."""
     outliers = errors.outliers()
     inliers = errors.where(~outliers)
     relative = inliers.ranges / inliers.true_ranges
-    return ObservationNoise(
+    return ErrorStatistics(
         len(outliers), int(outliers.sum()), float(inliers.ranges.std()),
         float(inliers.ranges.mean()), float(inliers.bearings.std()),
         float(inliers.bearings.mean()), rms(relative), rms(inliers.bearings),
@@ -262,9 +262,10 @@ def _errors_of(
 
 
 def sigmas(errors: ObservationErrors) -> tuple[float, float]:
-    """Return standard deviations of ranges, per metre, and of bearings."""
-    noise = observation_noise(errors)
-    return max(noise.range_growth, MIN_SIGMA), max(noise.bearing_rms, MIN_SIGMA)
+    """Return standard deviations of ranges, per metre, and of bearings, without outliers."""
+    inliers = errors.where(~errors.outliers())
+    relative = inliers.ranges / inliers.true_ranges
+    return max(rms(relative), MIN_SIGMA), max(rms(inliers.bearings), MIN_SIGMA)
 
 
 def _correlations(errors: ObservationErrors, values: Array) -> dict[tuple[float, float], float]:

@@ -7,7 +7,6 @@ The anchor is the robot whose start and observations determine the heading of th
 """
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import replace
 import math
 
@@ -45,6 +44,8 @@ MAX_FRAME_TURN, MAX_FRAME_SIGMAS = 0.1, 2.0
 ORIGIN: Triple = (0.0, 0.0, 0.0)
 #: Range [m] at which the noise of a robot without observations is stated.
 TYPICAL_RANGE = 3.5
+#: A pose and its standard deviations.
+Start = tuple[Triple, Triple]
 
 
 def settings(
@@ -56,8 +57,7 @@ def settings(
     The anchor starts at the origin if there is no ground truth in its first five minutes. The
     starts of the other robots are unknown, or taken from the ground truth as well.
     """
-    starts = {robot: start(log, options) for robot, log in data.logs.items()}
-    anchor = _anchor(data, starts, options)
+    starts, anchor = _starts_and_anchor(data, options)
     pose, sigma = starts[anchor] or (ORIGIN, ORIGIN)
     if starts[anchor]:
         # The frame turns with what the camera of the anchor observes.
@@ -73,7 +73,7 @@ def settings(
         join_heading_sigma=JOIN_HEADING_SIGMA, stale_after=STALE_AFTER)
 
 
-def start(log: RobotLog, options: ConversionOptions) -> tuple[Triple, Triple] | None:
+def start(log: RobotLog, options: ConversionOptions) -> Start | None:
     """Return a robot's true pose at its first odometry and its sigmas, None if not known."""
     stamps, poses = odometry(log, options)
     first = np.searchsorted(log.truth.stamps, stamps[0])
@@ -97,8 +97,7 @@ def with_known_anchor(data: MrclamSet, options: ConversionOptions) -> MrclamSet:
     Where odometry between the anchor's start and its first true pose has lost its heading, the
     anchor begins at that true pose; its earlier commands are counted.
     """
-    starts = {robot: start(log, options) for robot, log in data.logs.items()}
-    anchor = _anchor(data, starts, options)
+    starts, anchor = _starts_and_anchor(data, options)
     log, known = data.logs[anchor], starts[anchor]
     if known is None or known[1][2] <= GOOD_HEADING_SIGMA:
         return data
@@ -111,16 +110,17 @@ def with_known_anchor(data: MrclamSet, options: ConversionOptions) -> MrclamSet:
     return replace(data, logs={**data.logs, anchor: kept})
 
 
-def _anchor(
-    data: MrclamSet, starts: Mapping[int, tuple[Triple, Triple] | None],
-    options: ConversionOptions,
-) -> int:
+def _starts_and_anchor(
+    data: MrclamSet, options: ConversionOptions
+) -> tuple[dict[int, Start | None], int]:
     """
-    Return the robot that determines the heading of the frame best.
+    Return the start of each robot, and the robot that determines the heading of the frame best.
 
-    It observes landmarks, without which the others cannot join. If possible, its start is known
-    well enough to keep all of its log, and its odometry agrees with its true heading by then.
+    The latter observes landmarks, without which the others cannot join. If possible, its start is
+    known well enough to keep all of its log, and its odometry agrees with its true heading then.
     """
+    starts = {robot: start(log, options) for robot, log in data.logs.items()}
+
     def rank(robot: int) -> tuple[bool, bool, bool, float]:
         rows = observations(data, robot, options, Counter())
         of_landmarks = rows[~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS)]
@@ -133,7 +133,7 @@ def _anchor(
             variance = _frame_variance(log, sigma, of_landmarks, options)
         return len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, has_turned, variance
 
-    return min(starts, key=rank)
+    return starts, min(starts, key=rank)
 
 
 def _frame_variance(

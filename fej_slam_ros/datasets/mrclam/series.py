@@ -32,6 +32,10 @@ class Series:
         """Return the rows from one stamp to another, both included."""
         return self[(first <= self.stamps) & (self.stamps <= last)]
 
+    def first_in_windows(self, begin: int, period: int) -> 'Series':
+        """Return the first row in each of successive windows [ns]."""
+        return self[np.diff((self.stamps - begin) // period, prepend=-1) > 0]
+
     def in_order(self) -> 'Series':
         """Return the rows in the order of stamps; those of one stamp keep their order."""
         return self[np.argsort(self.stamps, kind='stable')]

@@ -15,8 +15,8 @@ from fej_slam_ros.datasets.mrclam.command_errors import increments
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, Noise, observations as observations_used, speeds)
 from fej_slam_ros.datasets.mrclam.files import read
-from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable, measured_options
-from fej_slam_ros.datasets.mrclam.observation_errors import observation_errors, observation_noise
+from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable
+from fej_slam_ros.datasets.mrclam.observation_errors import error_statistics, observation_errors
 from fej_slam_ros.datasets.mrclam.series import Series
 from helpers.mrclam import LANDMARKS, write_set
 
@@ -77,7 +77,7 @@ def observations(stamps, poses, rng, tau):
 
 
 def test_delay_and_scale_are_measured(synthetic):
-    measured = measured_options(synthetic)
+    measured = best_options(synthetic)
 
     assert measured.motion_delay == pytest.approx(DELAY, abs=0.01)
     # At the mean turn rate, 0.25 rad/s; 3 sigma of 900 s.
@@ -103,14 +103,14 @@ def test_the_delay_is_measured_with_the_noise_of_set_6(tmp_path, seed):
 
     # Turn rates change by 0.4 rad/s in 450 places, noise is 0.02 rad in each window of 0.2 s:
     # 0.02 / 0.4 / sqrt(450) is 0.0024 s, and this is four times as much.
-    assert measured_options(noisy).motion_delay == pytest.approx(DELAY, abs=0.01)
+    assert best_options(noisy).motion_delay == pytest.approx(DELAY, abs=0.01)
 
 
 def test_the_scale_of_turns_is_measured_on_robots_that_turn_around(tmp_path):
     # A turn of up to 3.6 rad in each of the windows of 5 s, which headings alone do not show.
     turning = synthetic_set(tmp_path / 'set', turn_rate=0.9, held=10)
 
-    assert measured_options(turning).odometry_scale == pytest.approx(SCALE, abs=0.02)
+    assert best_options(turning).odometry_scale == pytest.approx(SCALE, abs=0.02)
 
 
 @pytest.mark.parametrize('truth_seconds', [0.0, 10.0, 50.0])
@@ -134,13 +134,13 @@ def test_without_true_poses_a_robot_turns_as_commanded(tmp_path):
 
 
 def test_given_delay_and_scale_are_kept(synthetic):
-    measured = measured_options(synthetic, 0.3, (0.7, 0.6))
+    measured = best_options(synthetic, 0.3, (0.7, 0.6))
 
     assert (measured.motion_delay, measured.odometry_scale) == (0.3, (0.7, 0.6))
 
 
 def test_the_noise_of_commands_is_measured(synthetic):
-    noise = measured_options(synthetic).noise
+    noise = best_options(synthetic).noise
 
     # At the mean speeds; 180 windows determine a variance to 10 %, on curved paths a little worse.
     assert np.dot(noise.heading, (0.05, 0.25)) == pytest.approx(0.25 * HEADING, rel=0.3)
@@ -151,7 +151,7 @@ def test_the_noise_of_commands_is_measured(synthetic):
 def test_a_short_log_makes_neither_driving_nor_turning_exact(tmp_path, seed):
     data = synthetic_set(tmp_path, speed=0.5, heading=(HEADING, HEADING), seconds=200, seed=seed)
 
-    per_metre, per_radian = measured_options(data).noise.heading
+    per_metre, per_radian = best_options(data).noise.heading
 
     # Either term alone would explain the errors in the ten windows of this log, which determine
     # their sum to 45 %.
@@ -162,10 +162,10 @@ def test_a_short_log_makes_neither_driving_nor_turning_exact(tmp_path, seed):
 def test_observation_noise_is_estimated_without_outliers(synthetic):
     landmarks, _ = observation_errors(synthetic)
 
-    measured = observation_noise(landmarks)
+    measured = error_statistics(landmarks)
 
     # 1800 observations determine a sigma to 2 %.
-    assert measured.range_growth == pytest.approx(RANGE, rel=0.1)
+    assert measured.relative_range_rms == pytest.approx(RANGE, rel=0.1)
     assert measured.bearing_rms == pytest.approx(BEARING, rel=0.1)
     assert measured.outliers >= 17
     assert measured.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
@@ -260,19 +260,19 @@ def test_the_factor_for_errors_that_persist_is_measured(tmp_path, tau):
     rho = correlation(1.5, tau)
     expected = math.sqrt((4 + 2 * (3 * rho + 2 * rho ** 2 + rho ** 3)) / 4)
     # 450 windows of two errors, of which those of 6 s or more are independent: 2 to 5 %.
-    assert measured_options(data).correlation_factor == pytest.approx(expected, rel=0.1)
+    assert best_options(data).correlation_factor == pytest.approx(expected, rel=0.1)
 
 
 def test_with_few_observations_the_factor_is_the_default(synthetic):
     log = synthetic.logs[1]
     few = replace(synthetic, logs={1: replace(log, observations=log.observations[:20])})
 
-    assert measured_options(few).correlation_factor == ConversionOptions().correlation_factor
+    assert best_options(few).correlation_factor == ConversionOptions().correlation_factor
 
 
 def test_exact_observations_have_the_resolution_of_the_files(tmp_path):
     still = [(100 + 0.02 * k, 0, 0) for k in range(3000)]
-    noise = measured_options(read(write_set(tmp_path, {
+    noise = best_options(read(write_set(tmp_path, {
         'Robot1_Odometry': still, 'Robot1_Groundtruth': [(t, 0, 0, 0) for t, *_ in still],
         'Robot1_Measurement': [
             (101 + 0.2 * k, 7, math.sqrt(5), math.atan2(1, 2)) for k in range(250)]}))).noise
@@ -284,7 +284,7 @@ def test_exact_observations_have_the_resolution_of_the_files(tmp_path):
 def test_only_outliers_leave_the_default_noise(synthetic):
     elsewhere = {subject: point + 100.0 for subject, point in synthetic.landmarks.items()}
 
-    noise = measured_options(replace(synthetic, landmarks=elsewhere)).noise
+    noise = best_options(replace(synthetic, landmarks=elsewhere)).noise
 
     assert (noise.range, noise.bearing) == (Noise().range, Noise().bearing)
 
@@ -301,7 +301,7 @@ def test_windows_with_a_long_gap_of_commands_are_ignored(synthetic):
 
 
 def test_without_observations_of_robots_their_noise_is_the_default(synthetic):
-    assert measured_options(synthetic).noise.robot_range == ConversionOptions().noise.robot_range
+    assert best_options(synthetic).noise.robot_range == ConversionOptions().noise.robot_range
 
 
 def test_noise_is_not_measurable_without_motion_capture(tmp_path):
@@ -327,7 +327,7 @@ def set_6(data):
 
 @pytest.mark.slow
 def test_observations_of_set_6_have_the_noise_in_its_readme(set_6):
-    landmarks, robots = map(observation_noise, observation_errors(set_6))
+    landmarks, robots = map(error_statistics, observation_errors(set_6))
 
     # Within the last digit of the README; true poses at jumps are dropped here.
     assert landmarks.range_sd == pytest.approx(0.173, abs=1e-3)
@@ -343,7 +343,7 @@ def test_observations_of_set_6_have_the_noise_in_its_readme(set_6):
 
 
 def test_commands_of_set_6_have_the_delay_and_scale_in_its_readme(set_6):
-    measured = measured_options(set_6)
+    measured = best_options(set_6)
 
     assert 0.16 <= measured.motion_delay <= 0.20
     # Of 0.067 m/s straight ahead 0.067 to 0.069, of 0.086 at 0.4 rad/s 0.05: means of windows
@@ -357,7 +357,7 @@ def test_commands_of_set_6_have_the_delay_and_scale_in_its_readme(set_6):
 @pytest.mark.parametrize(('window', 'v', 'w'), [
     (0.2, 0.014, (0.046, 0.064)), (1.0, 0.011, (0.023, 0.031))])
 def test_speeds_of_set_6_have_the_errors_in_its_readme(set_6, window, v, w):
-    errors = increments(set_6, measured_options(set_6, odometry_scale=(1.0, 1.0)), window).errors()
+    errors = increments(set_6, best_options(set_6, odometry_scale=(1.0, 1.0)), window).errors()
 
     # The windows of the README begin at other times.
     assert errors[:, 0].std() / window == pytest.approx(v, abs=1e-3)
