@@ -14,7 +14,8 @@ import math
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fej_slam_ros.core.geometry import Array, between, compose, Flags, poses_at, wrap_all
+from fej_slam_ros.core.geometry import (
+    Array, between, compose, Flags, interpolated_all, poses_at, wrap_all)
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, odometry, OFFSET_SIGMA
@@ -211,9 +212,8 @@ def true_poses(truth: Series, stamps: Stamps) -> tuple[Array, Flags]:
         return np.zeros((len(stamps), 3)), np.zeros(len(stamps), dtype=bool)
     after = np.searchsorted(truth.stamps, stamps).clip(1, len(truth) - 1)
     t0, t1 = truth.stamps[after - 1], truth.stamps[after]
-    steps = truth.rows[after] - truth.rows[after - 1]
-    steps[:, 2] = wrap_all(steps[:, 2])
-    poses = truth.rows[after - 1] + ((stamps - t0) / (t1 - t0))[:, None] * steps
+    poses = interpolated_all(
+        truth.rows[after - 1], truth.rows[after], (stamps - t0) / (t1 - t0))
     return poses, (t0 <= stamps) & (stamps <= t1) & (t1 - t0 <= MAX_TRUTH_GAP)
 
 
