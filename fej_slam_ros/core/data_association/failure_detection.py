@@ -63,7 +63,7 @@ class LostRobotDetector:
         self._failed: dict[str, list[ScanGateStatistics]] = {}
         self._inconclusive: dict[str, int] = {}
         self._ambiguous: dict[str, tuple[int, int]] = {}
-        # Whose last scan missed most landmarks without ID: that it fits others clears no suspicion.
+        # Whose last scan missed most landmarks without ID: that it fits others clears nothing.
         self._misses_most: set[str] = set()
         self._restarted: dict[str, str] = {}
         self._probation: dict[str, int] = {}
