@@ -53,9 +53,9 @@ class LostRobotDetector:
     """
     Detects robots that are likely lost.
 
-    A robot is lost if most observations of each of its latest conclusive scans failed the gate. It
-    has left ``map`` then, and is on probation: it may join again after some scans that fit the map
-    of its own frame.
+    A robot is lost if most observations of each of its latest conclusive scans failed the gate, or
+    were of others than the landmarks in view. It has left ``map`` then, and is on probation: it
+    may join again after some scans that fit the map of its own frame.
 
     """
 
@@ -157,7 +157,8 @@ class LostRobotDetector:
         if len(scans) < LOST_AFTER:
             return self._restarted.get(robot)
         failed, known = sum(scan.failed for scan in scans), sum(scan.known for scan in scans)
-        return f'{failed} of {known} observations gated in a row'
+        what = 'landmarks in view missed' if robot in self._misses_most else 'observations gated'
+        return f'{failed} of {known} {what} in a row'
 
     def _continue_probation(self, robot: str, scan: ScanGateStatistics) -> None:
         if scan.mostly_failed():

@@ -98,8 +98,7 @@ class AssociatedScan:
 
     with_ids: Scan  #: the observations that had an ID
     associated: Scan  #: those without, with the ID of an existing or of a new landmark
-    #: how well those without ID fit the map
-    statistics: ScanMatchStatistics = ScanMatchStatistics()
+    statistics: ScanMatchStatistics  #: how well those without ID fit the map
     #: those without an unambiguous association, which are not used
     doubtful: Sequence[Observation] = ()
     candidates: Sequence[Landmark] = ()  #: landmarks that the doubtful ones may be of
@@ -125,7 +124,9 @@ class LandmarkManager:
         if unknown or self.last != NO_ID:
             view.widen(scan.observations)
         if not unknown:
-            return AssociatedScan(scan, Scan(scan.robot, scan.stamp, ()))
+            return AssociatedScan(
+                scan, Scan(scan.robot, scan.stamp, ()),
+                ScanMatchStatistics(used=len(scan.observations)))
         with_ids = tuple(s for s in scan.observations if s.id != NO_ID)
         state, robot = filter_.state, filter_.state.robots[scan.robot]
         observed = {filter_.landmark_key(scan.robot, s.id) for s in with_ids}
