@@ -5,7 +5,6 @@
 import argparse
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from itertools import count
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -118,13 +117,13 @@ def process(
     """
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
-    output_bag, folders = arguments.output / 'bag', _folders(arguments.output)
+    output_bag = arguments.output / 'bag'
     _check(arguments, output_bag)
     used: list[Path] = []
     with ExitStack() as stack:
         def start(settings: RunSettings) -> SessionT:
             with postponed():
-                used.append(next(folders))
+                used.append(_folder(arguments.output, len(used) + 1))
                 session = begin(settings, used[-1], arguments.force)
                 stack.callback(session.discard_files)
             refuse_existing([used[-1] / PICTURE], arguments.force)
@@ -150,7 +149,7 @@ def process(
         summary = session.write_files()
     yield session, summary
     for folder in used:
-        # One of an earlier run would not fit the other files.
+        # That of an earlier run would not fit the other files.
         (folder / PICTURE).unlink(missing_ok=True)
         if arguments.picture:
             _draw(folder)
@@ -173,8 +172,7 @@ def _draw(folder: Path) -> None:
         result, in_map, {}, [])
 
 
-def _folders(first: Path) -> Iterator[Path]:
-    """Yield the output folder of each session: DIR, DIR_2, DIR_3, ..."""
-    yield first
-    for number in count(2):
-        yield first.resolve().with_name(f'{first.resolve().name}_{number}')
+def _folder(first: Path, number: int) -> Path:
+    """Return the output folder of a session: DIR, DIR_2, DIR_3, ..."""
+    path = first.resolve()
+    return first if number == 1 else path.with_name(f'{path.name}_{number}')

@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter as RosParameter
 
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.endpoints import is_installed
-from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
+from fej_slam_ros.ros.nodes.managed_node import ManagedNode
 from fej_slam_ros.ros.session.inputs import TF_TYPE
 
 

@@ -12,7 +12,7 @@ from rclpy.subscription import Subscription
 from fej_slam_ros.ros.messages import prepare, serialize
 from fej_slam_ros.ros.nodes.endpoints import message_class, taken_message, wait_for_arrival
 from fej_slam_ros.ros.nodes.first_messages import FirstMessages
-from fej_slam_ros.ros.nodes.lifecycle_node import ManagedNode
+from fej_slam_ros.ros.nodes.managed_node import ManagedNode
 from fej_slam_ros.ros.nodes.qos import INPUT_DEPTH, input_qos, output_qos, overridable
 from fej_slam_ros.ros.nodes.qos_watch import QosWatch
 from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
