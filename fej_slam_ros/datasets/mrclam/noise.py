@@ -11,14 +11,14 @@ from scipy.optimize import nnls
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, noise_scale, noise_scales, normalized_errors)
 from fej_slam_ros.core.records import Odometry, TruePose
-from fej_slam_ros.datasets.mrclam import command_errors, observation_errors
+from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
+from fej_slam_ros.datasets.mrclam.camera_errors import (
+    bearing_offsets, range_errors, sigmas, without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, records, robot_name, STANDSTILL_VARIANCE)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
-from fej_slam_ros.datasets.mrclam.observation_errors import (
-    bearing_offsets, errors_near_truth, ObservationErrors, range_errors, sigmas,
-    without_systematic_errors)
+from fej_slam_ros.datasets.mrclam.observation_errors import errors_near_truth, ObservationErrors
 from fej_slam_ros.datasets.mrclam.run_settings import settings
 
 #: Minimum number of windows for the growth of errors, and of observations of a kind, for an
@@ -85,7 +85,7 @@ def _measured_options(
         usual, position=_growth(windows, 0, usual.position),
         heading=_growth(windows, 2, usual.heading))
     if camera_delay is None:
-        camera_delay = observation_errors.camera_delay(data, options)
+        camera_delay = camera_errors.camera_delay(data, options)
     options = replace(options, noise=noise, camera_delay=camera_delay)
     options = _with_observation_noise(
         options, *observation_errors.observation_errors(data, camera_delay))
@@ -117,10 +117,10 @@ def _with_observation_noise(
     landmarks = without_systematic_errors(landmarks, of_bearings, of_ranges)
     robots = without_systematic_errors(robots, of_bearings, of_ranges)
     noise = options.noise
-    if (~landmarks.outliers()).sum() >= MIN_OBSERVATIONS:
+    if len(landmarks.inliers().ranges) >= MIN_OBSERVATIONS:
         r, beta = sigmas(landmarks)
         noise = replace(noise, range=r, bearing=beta)
-    if (~robots.outliers()).sum() >= MIN_OBSERVATIONS:
+    if len(robots.inliers().ranges) >= MIN_OBSERVATIONS:
         r, beta = sigmas(robots)
         noise = replace(noise, robot_range=r, robot_bearing=beta)
     return replace(options, noise=noise, bearing_offsets=of_bearings, range_errors=of_ranges)

@@ -8,17 +8,16 @@ statistics.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 import math
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 from fej_slam_ros.core.geometry import (
     Array, between, compose, Flags, interpolated_all, poses_at, wrap_all)
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, odometry, OFFSET_SIGMA
+from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, odometry
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.mrclam.series import Series, Stamps
 
@@ -29,14 +28,6 @@ MAX_TRUTH_GAP = NS // 10
 NEAR_TRUTH = NS // 4
 #: Range [m] and bearing errors [rad] above which an observation is an outlier.
 OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
-#: Lower bound of estimated sigmas, the resolution of the files: ranges in mm, bearings in mrad.
-MIN_SIGMA = 1e-3
-#: Time [s] over which errors of a robot's camera stay about the same.
-OFFSET_WINDOW = 60.0
-#: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
-RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
-#: Upper bound of the delay of a camera, and its standard deviation where no robot turns [s].
-MAX_CAMERA_DELAY, CAMERA_DELAY_SIGMA = 0.2, 0.05
 #: Lags [s] between which errors of one robot and one subject are correlated.
 LAGS = ((0.0, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0))
 
@@ -57,6 +48,10 @@ class ObservationErrors:
     def where(self, wanted: Flags) -> 'ObservationErrors':
         """Return the selected errors."""
         return ObservationErrors(*(getattr(self, part.name)[wanted] for part in fields(self)))
+
+    def inliers(self) -> 'ObservationErrors':
+        """Return the errors of the observations that are no outliers."""
+        return self.where(~self.outliers())
 
     def outliers(self) -> Flags:
         """Return which observations are outliers."""
@@ -110,94 +105,9 @@ def _errors(
     return errors.where(~robots), errors.where(robots)
 
 
-def bearing_offsets(
-    errors: ObservationErrors, least_sigma: float = 0.0
-) -> dict[int, tuple[float, float]]:
-    """
-    Return the mean bearing error of each robot, its camera's angle, and a sigma [rad].
-
-    Errors within `OFFSET_WINDOW` count as one, of at least a sigma where their spread is not well
-    known; the prior is `OFFSET_SIGMA`. The sigma is that of the error in one window: it contains
-    the spread among windows, as of motion capture that is wrong for a minute.
-
-    """
-    inliers = errors.where(~errors.outliers())
-    offsets = {}
-    for robot in np.unique(inliers.observers).astype(int).tolist():
-        own = inliers.where(inliers.observers == robot)
-        windows = (own.seconds // OFFSET_WINDOW).astype(int)
-        means = np.array([own.bearings[windows == k].mean() for k in np.unique(windows)])
-        if len(means) > 1:
-            spread = float(means.var(ddof=1))
-            variance = max(spread, least_sigma ** 2) / len(means)
-            weight = OFFSET_SIGMA ** 2 / (OFFSET_SIGMA ** 2 + variance)
-            offsets[robot] = weight * float(means.mean()), math.sqrt(weight * variance + spread)
-    return offsets
-
-
-def range_errors(
-    errors: ObservationErrors, least_sigma: float = 0.0
-) -> dict[int, tuple[float, float]]:
-    """
-    Return the systematic errors of each robot's ranges: offset [m], and error per metre.
-
-    Least squares over errors per metre of range, with the prior `RANGE_ERROR_SIGMA`. Their
-    variance is that of sums over `OFFSET_WINDOW`, in which they are correlated, and at least a
-    sigma where their spread is not well known.
-
-    """
-    inliers, found = errors.where(~errors.outliers()), {}
-    for robot in np.unique(inliers.observers).astype(int).tolist():
-        own = inliers.where(inliers.observers == robot)
-        A = np.column_stack([1.0 / own.true_ranges, np.ones(len(own.ranges))])
-        b = own.ranges / own.true_ranges
-        residuals = b - A @ np.linalg.lstsq(A, b)[0]
-        _, windows = np.unique(own.seconds // OFFSET_WINDOW, return_inverse=True)
-        sums = np.bincount(windows, residuals)
-        if len(sums) > 2:
-            # Two unknowns are fitted.
-            variance = float(np.square(sums).sum()) / len(b) * len(sums) / (len(sums) - 2)
-            variance = max(variance, least_sigma ** 2, MIN_SIGMA ** 2)
-            N = A.T @ A / variance + np.diag(RANGE_ERROR_SIGMA ** -2)
-            offset, per_metre = np.linalg.solve(N, A.T @ b / variance).tolist()
-            found[robot] = offset, per_metre
-    return found
-
-
-def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
-    """Return the delay [s] with which bearings fit the true poses best, drawn to the usual one."""
-    usual, sigma = options.camera_delay, options.noise.bearing
-    count = sum(len(log.observations) for log in data.logs.values())
-
-    def cost(delay: float) -> float:
-        landmarks, _ = observation_errors(data, delay)
-        errors = without_systematic_errors(landmarks, bearing_offsets(landmarks), {})
-        inliers = errors.where(~errors.outliers())
-        fit = count * np.square(inliers.bearings / sigma).mean() if len(inliers.bearings) else 0.0
-        return float(fit + ((delay - usual) / CAMERA_DELAY_SIGMA) ** 2)
-
-    bounds = 0.0, MAX_CAMERA_DELAY
-    return float(minimize_scalar(cost, bounds=bounds, options={'xatol': 1e-3}).x)
-
-
-def without_systematic_errors(
-    errors: ObservationErrors, of_bearings: Mapping[int, tuple[float, float]],
-    of_ranges: Mapping[int, tuple[float, float]],
-) -> ObservationErrors:
-    """Return the errors that remain without the `bearing_offsets` and `range_errors` by robot."""
-    bearings, ranges = errors.bearings.copy(), errors.ranges.copy()
-    for robot, (offset, _) in of_bearings.items():
-        bearings[errors.observers == robot] -= offset
-    for robot, (offset, per_metre) in of_ranges.items():
-        own = errors.observers == robot
-        ranges[own] -= offset + per_metre * errors.true_ranges[own]
-    return replace(errors, bearings=bearings, ranges=ranges)
-
-
 def error_statistics(errors: ObservationErrors) -> ErrorStatistics:
     """Return the statistics of errors; at least one must not be an outlier."""
-    outliers = errors.outliers()
-    inliers = errors.where(~outliers)
+    outliers, inliers = errors.outliers(), errors.inliers()
     relative = inliers.ranges / inliers.true_ranges
     return ErrorStatistics(
         len(outliers), int(outliers.sum()), float(inliers.ranges.std()),
@@ -259,13 +169,6 @@ def _errors_of(
         np.full(len(stamps), float(robot)), subjects, stamps / NS, np.hypot(x, y),
         r - np.hypot(x, y), wrap_all(beta - np.arctan2(y, x)))
     return tuple(column[known] for column in columns)
-
-
-def sigmas(errors: ObservationErrors) -> tuple[float, float]:
-    """Return standard deviations of ranges, per metre, and of bearings, without outliers."""
-    inliers = errors.where(~errors.outliers())
-    relative = inliers.ranges / inliers.true_ranges
-    return max(rms(relative), MIN_SIGMA), max(rms(inliers.bearings), MIN_SIGMA)
 
 
 def _correlations(errors: ObservationErrors, values: Array) -> dict[tuple[float, float], float]:

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Systematic errors and noise of an MRCLAM set's cameras, from errors of their observations."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+import math
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, OFFSET_SIGMA
+from fej_slam_ros.datasets.mrclam.files import MrclamSet
+from fej_slam_ros.datasets.mrclam.observation_errors import (
+    observation_errors, ObservationErrors, rms)
+
+#: Lower bound of estimated sigmas, the resolution of the files: ranges in mm, bearings in mrad.
+MIN_SIGMA = 1e-3
+#: Time [s] over which errors of a robot's camera stay about the same.
+OFFSET_WINDOW = 60.0
+#: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
+RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
+#: Upper bound of the delay of a camera, and its standard deviation where no robot turns [s].
+MAX_CAMERA_DELAY, CAMERA_DELAY_SIGMA = 0.2, 0.05
+
+
+def bearing_offsets(
+    errors: ObservationErrors, least_sigma: float = 0.0
+) -> dict[int, tuple[float, float]]:
+    """
+    Return the mean bearing error of each robot, its camera's angle, and a sigma [rad].
+
+    Errors within `OFFSET_WINDOW` count as one, of at least a sigma where their spread is not well
+    known; the prior is `OFFSET_SIGMA`. The sigma is that of the error in one window: it contains
+    the spread among windows, as of motion capture that is wrong for a minute.
+
+    """
+    inliers = errors.inliers()
+    offsets = {}
+    for robot in np.unique(inliers.observers).astype(int).tolist():
+        own = inliers.where(inliers.observers == robot)
+        windows = (own.seconds // OFFSET_WINDOW).astype(int)
+        means = np.array([own.bearings[windows == k].mean() for k in np.unique(windows)])
+        if len(means) > 1:
+            spread = float(means.var(ddof=1))
+            variance = max(spread, least_sigma ** 2) / len(means)
+            weight = OFFSET_SIGMA ** 2 / (OFFSET_SIGMA ** 2 + variance)
+            offsets[robot] = weight * float(means.mean()), math.sqrt(weight * variance + spread)
+    return offsets
+
+
+def range_errors(
+    errors: ObservationErrors, least_sigma: float
+) -> dict[int, tuple[float, float]]:
+    """
+    Return the systematic errors of each robot's ranges: offset [m], and error per metre.
+
+    Least squares over errors per metre of range, with the prior `RANGE_ERROR_SIGMA`. Their
+    variance is that of sums over `OFFSET_WINDOW`, in which they are correlated, and at least a
+    sigma where their spread is not well known.
+
+    """
+    inliers, found = errors.inliers(), {}
+    for robot in np.unique(inliers.observers).astype(int).tolist():
+        own = inliers.where(inliers.observers == robot)
+        A = np.column_stack([1.0 / own.true_ranges, np.ones(len(own.ranges))])
+        b = own.ranges / own.true_ranges
+        residuals = b - A @ np.linalg.lstsq(A, b)[0]
+        _, windows = np.unique(own.seconds // OFFSET_WINDOW, return_inverse=True)
+        sums = np.bincount(windows, residuals)
+        if len(sums) > 2:
+            # Two unknowns are fitted.
+            variance = float(np.square(sums).sum()) / len(b) * len(sums) / (len(sums) - 2)
+            variance = max(variance, least_sigma ** 2, MIN_SIGMA ** 2)
+            N = A.T @ A / variance + np.diag(RANGE_ERROR_SIGMA ** -2)
+            offset, per_metre = np.linalg.solve(N, A.T @ b / variance).tolist()
+            found[robot] = offset, per_metre
+    return found
+
+
+def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
+    """Return the delay [s] with which bearings fit the true poses best, drawn to the usual one."""
+    usual, sigma = options.camera_delay, options.noise.bearing
+    count = sum(len(log.observations) for log in data.logs.values())
+
+    def cost(delay: float) -> float:
+        landmarks, _ = observation_errors(data, delay)
+        errors = without_systematic_errors(landmarks, bearing_offsets(landmarks), {})
+        inliers = errors.inliers()
+        fit = count * np.square(inliers.bearings / sigma).mean() if len(inliers.bearings) else 0.0
+        return float(fit + ((delay - usual) / CAMERA_DELAY_SIGMA) ** 2)
+
+    bounds = 0.0, MAX_CAMERA_DELAY
+    return float(minimize_scalar(cost, bounds=bounds, options={'xatol': 1e-3}).x)
+
+
+def without_systematic_errors(
+    errors: ObservationErrors, of_bearings: Mapping[int, tuple[float, float]],
+    of_ranges: Mapping[int, tuple[float, float]],
+) -> ObservationErrors:
+    """Return the errors that remain without the `bearing_offsets` and `range_errors` by robot."""
+    bearings, ranges = errors.bearings.copy(), errors.ranges.copy()
+    for robot, (offset, _) in of_bearings.items():
+        bearings[errors.observers == robot] -= offset
+    for robot, (offset, per_metre) in of_ranges.items():
+        own = errors.observers == robot
+        ranges[own] -= offset + per_metre * errors.true_ranges[own]
+    return replace(errors, bearings=bearings, ranges=ranges)
+
+
+def sigmas(errors: ObservationErrors) -> tuple[float, float]:
+    """Return standard deviations of ranges, per metre, and of bearings, without outliers."""
+    inliers = errors.inliers()
+    relative = inliers.ranges / inliers.true_ranges
+    return max(rms(relative), MIN_SIGMA), max(rms(inliers.bearings), MIN_SIGMA)
