@@ -59,7 +59,7 @@ def _draw_scene(axes: Axes, solution: CsamSolution) -> None:
         ends = (truth.true_poses[one.observer][one.pose],
                 truth.true_poses[one.observed][one.observed_pose])
         axes.plot(*np.array(ends)[:, :2].T, color=ROBOT_COLOURS[2], linewidth=0.6, zorder=0)
-    axes.plot([], [], color=ROBOT_COLOURS[2], label='robot-to-robot observation')
+    axes.plot([], [], color=ROBOT_COLOURS[2], label='observation of a robot')
     axes.set_title('(a) ground truth')
 
 
