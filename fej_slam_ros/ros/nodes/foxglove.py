@@ -17,7 +17,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.messages import decoded, definition, serialize
+from fej_slam_ros.ros.messages import decoded, definition, serialize, stamp_of
 from fej_slam_ros.ros.messages.outgoing import view_frames
 from fej_slam_ros.ros.nodes.endpoints import is_installed, message_class
 from fej_slam_ros.ros.nodes.parameter_node import CheckedClockNode
@@ -148,7 +148,11 @@ class View(ServerListener):
             return
         robots = self._plotted.robots_of(report, monotonic())
         if robots:
-            self._pass_on(CONSISTENCY, json.dumps(consistency(robots)).encode())
+            # Where the clock goes on from simulated to real time, the plot must not. Foxglove has
+            # no negative time.
+            at = max(0, stamp_of(raw))
+            self._served[CONSISTENCY].channel.log(
+                json.dumps(consistency(robots)).encode(), log_time=at)
             self._pass_on(FRAMES, serialize(view_frames(self.now(), robots)))
         for name in self._plotted.take_ignored():
             self._warn(f'{name} reports robots too, but {self._plotted.name} is plotted')

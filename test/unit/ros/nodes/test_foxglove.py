@@ -220,11 +220,27 @@ def test_diagnostics_of_other_nodes_are_passed_on_only(viewed):
     assert not client.got('/view/consistency')
 
 
-def diagnostics_of(*statuses):
+def diagnostics_of(*statuses, stamp=0):
     """Return the bytes of a report of statuses with name, hardware ID and values."""
-    return raw('', outgoing.diagnostics(0, [
+    return raw('', outgoing.diagnostics(stamp, [
         outgoing.diagnostic_status(name, 0, '', values, hardware)
         for name, hardware, values in statuses])).raw
+
+
+def test_nis_and_nees_are_plotted_at_the_stamps_of_their_reports(viewed):
+    # After the end of a simulation an estimator goes on to report at its last simulated time.
+    stamps = [64_000_000_000, 65_000_000_000, -1_000_000_000]
+    publisher = viewed.publisher('/diagnostics', live_helpers.DIAGNOSTICS)
+    client = viewed.client('/view/consistency')
+    viewed.wait_until_wanted(publisher)
+
+    for stamp in stamps:
+        publisher.publish(diagnostics_of(
+            ('estimator: r1', 'r1', {'sightings_used': 5}), stamp=stamp))
+
+    viewed.domain.until(lambda: client.got('/view/consistency', len(stamps)))
+    # Foxglove has no negative time.
+    assert [at for at, _ in client.received['/view/consistency']] == [*stamps[:2], 0]
 
 
 def test_whatever_diagnostics_contain_poses_are_passed_on(viewed):
