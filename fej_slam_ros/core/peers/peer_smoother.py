@@ -21,6 +21,7 @@ from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
+from fej_slam_ros.core.peers.blocks import MAX_STAMP
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.rendezvous_window import contents, RendezvousResult
 from fej_slam_ros.core.peers.team_logs import TeamLogs
@@ -81,6 +82,10 @@ class PeerSmoother(TeamSmoother):
         """Add a record of the own robot; return the reason if it is rejected."""
         if not isinstance(record, (Odometry, Scan, RobotScan)):
             return super().add(record, received)
+        if not 0 <= record.stamp <= MAX_STAMP:
+            # No robot could read it in a block.
+            self.statistics.received[record.robot] += 1
+            return self.statistics.reject_record(record, RejectionReason.BAD_STAMP)
         reason = self._use(record, received)
         if reason is None:
             self.logs.record(record)

@@ -183,3 +183,19 @@ def test_measurements_of_another_robot_are_not_written_to_the_own_log(record):
 
     assert own.logs.contents('r1').measurements() == []
     assert own.observed.total() == own.used('r2') == 0
+
+
+@pytest.mark.parametrize('stamp', [-1, -2**31 * 10**9, 2**31 * 10**9 - 1])
+@pytest.mark.parametrize('record', [
+    odometry('r1', 0), scan('r1', 0, [(1, (1.0, 0.0))]),
+    robot_scan('r1', 0, [('r2', (1.0, 0.0))])])
+def test_a_measurement_is_rejected_or_can_be_read_by_others(record, stamp):
+    settings = team('r1', 'r2')
+    own = PeerSmoother(settings, 'r1', TeamLogs('r1', 1, settings.robots[0]), 10**9)
+
+    reason = own.add(replace(record, stamp=stamp))
+    own.logs.flush()
+
+    assert own.logs.contents('r1').measurements() == []
+    assert reason is RejectionReason.BAD_STAMP
+    assert own.statistics.received['r1'] == own.statistics.rejected['r1'] == 1
