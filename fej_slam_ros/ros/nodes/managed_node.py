@@ -6,10 +6,11 @@ from collections.abc import Callable
 import traceback
 
 from lifecycle_msgs.srv import ChangeState
-from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
+from rclpy.lifecycle import (
+    LifecycleNodeMixin, LifecyclePublisher, LifecycleState, TransitionCallbackReturn)
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
+from fej_slam_ros.ros.nodes.parameter_node import drop_events, ParameterNode
 
 SUCCESS = TransitionCallbackReturn.SUCCESS
 FAILURE = TransitionCallbackReturn.FAILURE
@@ -63,6 +64,11 @@ class ManagedNode(LifecycleNodeMixin, ParameterNode):
     def dispose(self) -> None:
         """Undo everything that transitions have done, even if they failed halfway."""
         raise NotImplementedError
+
+    def destroy_lifecycle_publisher(self, publisher: LifecyclePublisher) -> bool:
+        """Destroy a publisher; its events that wait for the executor are dropped."""
+        drop_events(publisher)
+        return bool(super().destroy_lifecycle_publisher(publisher))
 
     def transition(self, trigger: Callable[[], object]) -> None:
         """Make a transition without a service request; its error is raised instead of logged."""

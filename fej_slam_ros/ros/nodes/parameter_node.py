@@ -12,9 +12,11 @@ from rcl_interfaces.msg import (
 from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy.clock import Clock, ROSClock
 from rclpy.clock_type import ClockType
+from rclpy.event_handler import EventHandler
 from rclpy.exceptions import NameValidationException
 from rclpy.node import Node
 from rclpy.parameter import Parameter as RosParameter
+from rclpy.publisher import Publisher
 from rclpy.service import Service
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
@@ -118,9 +120,15 @@ class ParameterNode(CheckedClockNode):
         return bool(super().destroy_service(service))
 
     def destroy_subscription(self, subscription: Subscription) -> bool:
-        """Destroy a subscription; messages on it that wait for the executor are dropped."""
+        """Destroy a subscription; what waits on it for the executor is dropped."""
         subscription.callback = lambda _message: None
+        drop_events(subscription)
         return bool(super().destroy_subscription(subscription))
+
+    def destroy_publisher(self, publisher: Publisher) -> bool:
+        """Destroy a publisher; its events that wait for the executor are dropped."""
+        drop_events(publisher)
+        return bool(super().destroy_publisher(publisher))
 
     def destroy_timer(self, timer: Timer) -> bool:
         """Destroy a timer, also if it is due."""
@@ -152,6 +160,13 @@ class ParameterNode(CheckedClockNode):
         if len(unknown) > MAX_WARNINGS:
             return f'{len(unknown)} parameters are unknown, such as {shortened(unknown[0])!r}'
         return ''
+
+
+def drop_events(endpoint: Subscription | Publisher) -> None:
+    """Drop the events of an endpoint that wait for the executor, which cannot take them later."""
+    # rclpy declares the list of handlers as a single one.
+    for handler in cast(list[EventHandler], endpoint.event_handlers):
+        vars(handler).update(take_data=lambda: None)
 
 
 def _descriptor(parameter: Parameter, read_only: bool) -> ParameterDescriptor:
