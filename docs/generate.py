@@ -122,7 +122,8 @@ REASONS = {
     RejectionReason.BAD_MESSAGE: 'message of another type, or truncated',
     RejectionReason.BAD_STAMP:
         'the nanoseconds of the stamp are a second or more; of scans of lasers and of detections,'
-        ' also in the last minute that a stamp can name, in 2038',
+        ' also in the last minute that a stamp can name, in 2038; of a smoother with `peers`, also'
+        ' before 1970',
     RejectionReason.DUPLICATE_ID: 'one ID twice in a scan; both observations are rejected',
     RejectionReason.NO_IDENTITY: 'ID -1, while the filter `ideal` and the smoother need IDs',
     RejectionReason.DUPLICATE: 'repeats robot, topic, stamp and content of an earlier message',

@@ -12,9 +12,9 @@ from fej_slam_ros.core.parameter_kinds import Parameter, parameters_of
 from fej_slam_ros.core.settings import NoiseSettings, RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
-from fej_slam_ros.ros.parameters.parsing import check_files, team_names
+from fej_slam_ros.ros.parameters.parsing import check_files, check_peer_files, team_names
 from fej_slam_ros.ros.parameters.schema import (
-    Audience, ESTIMATOR, known_parameters, QOS_OVERRIDES, Value)
+    Audience, ESTIMATOR, known_parameters, QOS_OVERRIDES, SMOOTHER, Value)
 from fej_slam_ros.ros.parameters.values import (
     checked_values, RENAMED_PARAMETERS, robot_names, shortened, unknown_parameter)
 
@@ -69,7 +69,10 @@ def checked_changes(
         if reason is not None:
             raise UsageError(reason)
     checked = checked_values(values, known)
-    check_files(replace(settings, node=with_node_values(settings.node, checked)))
+    node = with_node_values(settings.node, checked)
+    check_files(replace(settings, node=node))
+    if audience is SMOOTHER and node.peers:
+        check_peer_files(node)
     return checked
 
 

@@ -112,6 +112,15 @@ def _check_frames(settings: RunSettings) -> None:
         names[robot.odom_frame] = name
 
 
+def check_peer_files(node: NodeSettings) -> None:
+    """Refuse the checkpoints of other nodes to a smoother with peers."""
+    for name in ('checkpoint', 'restore', 'autosave_period'):
+        if getattr(node, name):
+            raise UsageError(
+                f"parameter {name!r} is not for a smoother with 'peers', which continues from"
+                " the measurements in a file: give 'exchange_file' instead")
+
+
 def check_files(settings: RunSettings) -> None:
     """Refuse parameters of files that contradict each other."""
     node = settings.node

@@ -109,11 +109,7 @@ class PeerSession(SmootherSession):
         settings, node = self.settings.estimation, self.settings.node
         self._settings_of_start = settings
         self.is_restored = False
-        for name in ('checkpoint', 'restore', 'autosave_period'):
-            if getattr(node, name):
-                raise UsageError(
-                    f"parameter {name!r} is not for a smoother with 'peers', which continues from"
-                    " the measurements in a file: give 'exchange_file' instead")
+        parameters.check_peer_files(node)
         own, *others = settings.robots
         logs = TeamLogs(own.name, time_ns(), own, TeamParameters(
             settings.shared_landmark_ids, settings.keyframe_distance))
