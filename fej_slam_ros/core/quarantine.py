@@ -11,13 +11,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 import math
 
+from fej_slam_ros.core.data_association.constellations import can_be_found
 from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan
 from fej_slam_ros.core.data_association.wrong_landmarks import remove_untrusted
 from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
-from fej_slam_ros.core.data_association.constellations import can_be_found
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import Motion, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason

@@ -13,12 +13,12 @@ from itertools import combinations
 
 import numpy as np
 
+from fej_slam_ros.core.data_association.constellations import (
+    count_without_id, MIN_MATCHES, renamed, shared_landmarks)
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.data_association.constellations import (
-    count_without_id, MIN_MATCHES, renamed, shared_landmarks)
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner
@@ -256,8 +256,9 @@ class TeamJoiner:
             # A landmark may look different from elsewhere, or be the neighbour of the right one.
             most = min(len(found) // MATCHES_OF_MISFIT, len(found) - MIN_MATCHES)
             misfits = self._joiner.misfits(group.filter, other.filter, most)
-            other.filter.state = renamed(
-                before, {old: new for old, new in found.items() if new not in misfits})
+            if misfits:
+                other.filter.state = renamed(
+                    before, {old: new for old, new in found.items() if new not in misfits})
             failure = self._joiner.join(group.filter, other.filter)
             if failure is not None:
                 other.filter.state = before

@@ -118,12 +118,13 @@ def shared_landmarks(
             _map(state, landmarks[-(of_smaller if len(landmarks) == fewer else of_larger):])
             for state, landmarks in zip((team, group), without_id))
         graph = _consistent(ours, theirs)
-        if np.square(graph.sum(axis=0)).sum() <= MAX_PATHS and (
-                _truss(graph, MIN_MATCHES).nnz <= 2 * MAX_EDGES):
-            break
+        if np.square(graph.sum(axis=0)).sum() <= MAX_PATHS:
+            truss = _truss(graph, MIN_MATCHES)
+            if truss.nnz <= 2 * MAX_EDGES:
+                break
     else:
         return JoinFailure(TOO_MANY)
-    best = _best_hypothesis(ours, theirs, graph)
+    best = _best_hypothesis(ours, theirs, graph, truss)
     if isinstance(best, JoinFailure):
         return best
     return {theirs.landmarks[j].key: ours.landmarks[i].key for i, j in zip(best.ours, best.theirs)}
@@ -145,14 +146,20 @@ def renamed(state: JointState, new_keys: Mapping[LandmarkKey, LandmarkKey]) -> J
     return JointState(variables, state.estimates(), state.x_first.copy(), covariance)
 
 
-def _best_hypothesis(ours: _Map, theirs: _Map, graph: csr_array) -> _Hypothesis | JoinFailure:
-    """Return the hypothesis with the most landmarks, if no other has nearly as many."""
+def _best_hypothesis(
+    ours: _Map, theirs: _Map, graph: csr_array, truss: csr_array
+) -> _Hypothesis | JoinFailure:
+    """
+    Return the hypothesis with the most landmarks, if no other has nearly as many.
+
+    The graph is that of consistent assignments, of which the truss is that of `MIN_MATCHES`.
+
+    """
     none = np.empty(0, np.intp)
     best, needed = _Hypothesis(none, none, np.zeros(3)), MIN_MATCHES
     for _ in range(MAX_HYPOTHESES):
-        densest = _densest(graph, needed)
-        if densest.nnz:
-            clique = _clique(densest)
+        if truss.nnz:
+            clique = _clique(_densest(truss, needed))
             found = _fitted(ours, theirs, clique)
             graph = _without(graph, np.append(clique, found.assignments(theirs)))
             best, other = sorted([best, found], key=len, reverse=True)
@@ -168,6 +175,7 @@ def _best_hypothesis(ours: _Map, theirs: _Map, graph: csr_array) -> _Hypothesis 
                     ' elsewhere, too: they are symmetric or repeated')
             # Rivals with fewer landmarks do not matter.
             needed = max(MIN_CLIQUE, int(MAX_SECOND_BEST * len(best)) + 1)
+        truss = _truss(graph, needed)
     return JoinFailure(TOO_MANY)
 
 
@@ -204,9 +212,9 @@ def _consistent(ours: _Map, theirs: _Map) -> csr_array:
     return half + half.T
 
 
-def _densest(graph: csr_array, k: int) -> csr_array:
-    """Return the truss of a graph of the largest k from k on that has edges, else an empty one."""
-    truss = densest = _truss(graph, k)
+def _densest(truss: csr_array, k: int) -> csr_array:
+    """Return the truss of the largest k in a k-truss that has edges."""
+    densest = truss
     while truss.nnz:
         densest, k = truss, k + 1
         truss = _truss(truss, k)

@@ -77,6 +77,11 @@ class FieldOfView:
         """Return whether the robot has observed most landmarks that it should have."""
         return self.expected >= MIN_EXPECTED and self.found >= RELIABLE_SHARE * self.expected
 
+    def add_expected(self, expected: int, missed: int) -> None:
+        """Add a scan in which some of the landmarks that should have been observed were missed."""
+        self.expected += expected
+        self.found += expected - missed
+
     def area(self) -> float:
         """Return its area [m^2]."""
         return self.bearing * self.range**2
@@ -146,12 +151,14 @@ class LandmarkManager:
             replace(unknown[i], id=landmark.key[1]) for i, landmark in result.landmarks.items()]
         new = [replace(unknown[i], id=self._new_id()) for i in result.new]
         doubtful = [unknown[i] for i in result.doubtful]
+        expected = [f for f, is_sure in zip(landmarks, is_expected) if is_sure]
+        missed = _count_missed(expected, result)
+        view.add_expected(len(expected), missed)
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return AssociatedScan(
             replace(scan, observations=with_ids), replace(scan, observations=(*matched, *new)),
-            _statistics(
-                view, [f for f, expected in zip(landmarks, is_expected) if expected], result,
-                with_ids),
+            _statistics(result, with_ids, *(
+                (len(expected), missed) if view.is_reliable() else (0, 0))),
             doubtful, result.candidates)
 
     def update_tentative(self, filter_: Filter, scan: AssociatedScan) -> None:
@@ -230,18 +237,18 @@ def _log_odds(view: FieldOfView, is_expected: Flags, count: int) -> Array:
     return np.where(is_expected, detected, 0.0) - math.log(2.0 * math.pi * density)
 
 
+def _count_missed(expected: Sequence[Landmark], result: MatchingResult) -> int:
+    """Return how many landmarks that should have been observed no observation may be of."""
+    not_missed = {f.key for f in (*result.landmarks.values(), *result.candidates)}
+    return sum(landmark.key not in not_missed for landmark in expected)
+
+
 def _statistics(
-    view: FieldOfView, expected: Sequence[Landmark], result: MatchingResult,
-    with_ids: Sequence[Observation],
+    result: MatchingResult, with_ids: Sequence[Observation], expected: int, missed: int
 ) -> ScanMatchStatistics:
-    """Return how well a scan fits the confirmed landmarks that should be in view."""
+    """Return how well a scan fits the map, given how many landmarks it should have observed."""
     matched = result.landmarks.values()
     tentative = sum(landmark.tentative is not None for landmark in matched)
-    not_missed = {landmark.key for landmark in (*matched, *result.candidates)}
-    missed = sum(landmark.key not in not_missed for landmark in expected)
-    view.expected, view.found = (
-        view.expected + len(expected), view.found + len(expected) - missed)
-    statistics = ScanMatchStatistics(
-        len(matched) + len(with_ids), len(result.doubtful), len(result.new) + tentative)
-    return statistics if not view.is_reliable() else replace(
-        statistics, expected=len(expected), missed=missed)
+    return ScanMatchStatistics(
+        len(matched) + len(with_ids), len(result.doubtful), len(result.new) + tentative, expected,
+        missed)

@@ -547,15 +547,20 @@ def test_a_union_that_fails_is_reported_for_all_robots_of_which_there_are_measur
             ('smoother: p', 2), ('smoother: q', 2)]
 
 
-def test_another_robot_that_is_lost_is_logged_with_the_reason_and_the_own_one_goes_on(clock):
+def sessions_with_q_carried_away(clock):
+    """Return the sessions of p and q; q was set down 100 m away, where it knows nothing."""
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
-    # q is set down 100 m away, where it observes nothing that it knows.
     for k in range(20):
         x = k / 10.0 + (100.0 if k >= 10 else 0.0)
         fed(sessions, [
             raw_record(odometry('p', 100 * k)), raw_record(odometry('q', 100 * k, (x, 0.0, 0.0))),
             raw_record(scan('q', 100 * k, [(1, (5.0 - x, 1.0))]))], clock)
     exchanged(sessions, clock, 10.0)
+    return sessions
+
+
+def test_another_robot_that_is_lost_is_logged_with_the_reason_and_the_own_one_goes_on(clock):
+    sessions = sessions_with_q_carried_away(clock)
     run = sessions['p']
     function, task = run.final_solving()
     list(run.adopt(function(task)))
@@ -569,13 +574,7 @@ def test_another_robot_that_is_lost_is_logged_with_the_reason_and_the_own_one_go
 
 
 def test_a_lost_robot_that_begins_a_new_run_is_not_logged_as_found(clock):
-    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
-    for k in range(20):
-        x = k / 10.0 + (100.0 if k >= 10 else 0.0)
-        fed(sessions, [
-            raw_record(odometry('p', 100 * k)), raw_record(odometry('q', 100 * k, (x, 0.0, 0.0))),
-            raw_record(scan('q', 100 * k, [(1, (5.0 - x, 1.0))]))], clock)
-    exchanged(sessions, clock, 10.0)
+    sessions = sessions_with_q_carried_away(clock)
     run = sessions['p']
 
     def solved():
