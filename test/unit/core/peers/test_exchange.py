@@ -186,6 +186,31 @@ def test_information_about_the_rendezvous_is_sent_before_measurements():
     assert len(known(robots['q'], 'p')) == 200
 
 
+def test_measurements_wait_also_for_the_first_block_of_the_information():
+    is_lost = [True]
+
+    def damaged(data):
+        message = read(data)
+        is_first = isinstance(message, BlockMessage) and (
+            message.block.log.about and message.block.number == 0)
+        return data[:-1] if is_first and is_lost[0] else data
+
+    robots = team('p', 'q', information_first=5 * NS)
+    drive(robots['p'])
+    for name, other in ('pq', 'qp'):
+        robots[name].logs.publish(LogName(name, other), [b'A', b'm'])
+    radio = Radio(robots, np.random.default_rng(1), damage=damaged)
+
+    radio.run(2.0)
+    assert robots['q'].logs.logs[LogName('p', 'q')].knowledge().ahead == {1}
+    assert known(robots['q'], 'p') == []
+    is_lost[0] = False
+    radio.run(2.0)
+
+    assert robots['q'].logs.logs[LogName('p', 'q')].blocks == [b'A', b'm']
+    assert len(known(robots['q'], 'p')) == 200
+
+
 def test_without_a_rendezvous_measurements_wait_no_longer_than_stated():
     robots = team('p', 'q', information_first=3 * NS)
     drive(robots['p'])
