@@ -10,11 +10,14 @@ The noise scales are factors on standard deviations: odometry_noise_scale, landm
 robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of
 observations; a robot with enough data has its own scale. The other scales are maximum-likelihood
 estimates from the innovations of the estimator without a gate, the same for all robots. Gross
-errors, beyond a chi-square probability of 0.999999, and observations without IDs are ignored.
+errors, beyond a chi-square probability of 0.999999, are ignored.
+
+Observations without IDs are matched by the estimator, again and again with the parameters found.
 """
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
+import math
 from operator import attrgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -30,8 +33,11 @@ from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, Received, run as run_estimator)
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, ERROR_WINDOW, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors)
+from fej_slam_ros.core.calibration.matched_ids import (
+    are_without_ids, MatchedRecords, with_matched_ids)
 from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, MAX_ERROR, OdometryErrors)
+from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
@@ -55,6 +61,9 @@ ODOMETRY_HEADINGS = (
 MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 #: Factor on noise beyond which something else is wrong.
 MAX_USUAL = 5.0
+#: Maximum number of times that observations without IDs are matched, and the change of the
+#: logarithm of a factor below which they are not matched again.
+MAX_ROUNDS, MAX_CHANGE = 8, 0.05
 
 
 class ScaleEstimate(NamedTuple):
@@ -66,6 +75,23 @@ class ScaleEstimate(NamedTuple):
 
 #: Estimates by kind of noise.
 Estimates = Mapping[str, ScaleEstimate]
+#: Source and systematic errors of the odometry of each robot with enough data.
+RobotErrors = Mapping[str, tuple[str, OdometryErrors]]
+
+
+class Calibration(NamedTuple):
+    """What was found, and the records from which."""
+
+    values: Mapping[str, object]  #: the corrected parameters
+    odometry: RobotErrors
+    estimates: Estimates
+    matched: MatchedRecords
+
+    def scales(self) -> dict[str, float]:
+        """Return the scale of all robots that was written, by kind of noise."""
+        return {
+            kind: estimate.scales[''].scale for kind, estimate in self.estimates.items()
+            if _is_known(self.estimates, kind)}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,15 +121,14 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     values = parameters.load_values(arguments.params, nodes, parameters.no_warning)
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
-    # Matches of observations without IDs would depend on the noise to calibrate.
-    collector = collect(messages, settings, needs_ids=True)
+    # The filter that linearises about true landmarks needs their IDs.
+    collector = collect(
+        messages, settings, LINEARIZATIONS[settings.estimation.filter].needs_truth)
     if not counts(collector.records)['odometry']:
         raise UserError(
             f'{arguments.bag} has no valid odometry: replay it to see the rejection reasons')
-    odometry = _odometry_errors(arguments.source, settings.estimation, collector.records)
-    corrected_odometry = _with_odometry_errors(values, odometry)
-    estimates = _estimate(arguments, corrected_odometry, collector.records)
-    corrected = _corrected(corrected_odometry, estimates)
+    found = _calibrated(arguments, values, collector.records)
+    corrected, odometry, estimates = found.values, found.odometry, found.estimates
     if corrected == values:
         raise UserError(
             f'{arguments.bag} has too little data to calibrate any noise: record a longer run,'
@@ -118,9 +143,37 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     if odometry:
         print(_odometry_table(odometry))
     print('\n'.join([
-        *_odometry_remarks(settings.estimation, odometry), *_remarks(collector, estimates),
+        *_odometry_remarks(settings.estimation, odometry), *_remarks(collector, found),
         f'wrote {arguments.output}']))
     return 0
+
+
+def _calibrated(
+    arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received]
+) -> Calibration:
+    """Return the calibration of records; matches of observations without IDs depend on it."""
+    if not are_without_ids(records):
+        return _calibrated_by(arguments, values, MatchedRecords(records))
+    settings, scales = _parsed(values), dict[str, float]()
+    for _ in range(MAX_ROUNDS):
+        matched = with_matched_ids(settings.estimation, records, prior_map(settings))
+        found = _calibrated_by(arguments, values, matched)
+        before, scales = scales, found.scales()
+        if before.keys() == scales.keys() and all(
+                abs(math.log(scales[kind] / before[kind])) < MAX_CHANGE for kind in scales):
+            break
+        settings = _parsed(found.values)
+    return found
+
+
+def _calibrated_by(
+    arguments: argparse.Namespace, values: Mapping[str, object], matched: MatchedRecords
+) -> Calibration:
+    """Return the calibration of records in which all observations have IDs."""
+    odometry = _odometry_errors(arguments.source, _parsed(values).estimation, matched.records)
+    corrected = _with_odometry_errors(values, odometry)
+    estimates = _estimate(arguments, corrected, matched.records)
+    return Calibration(_corrected(corrected, estimates), odometry, estimates, matched)
 
 
 def _parsed(values: Mapping[str, object]) -> parameters.RunSettings:
@@ -130,7 +183,7 @@ def _parsed(values: Mapping[str, object]) -> parameters.RunSettings:
 
 def _odometry_errors(
     source: str | None, settings: Settings, records: Sequence[Received]
-) -> dict[str, tuple[str, OdometryErrors]]:
+) -> RobotErrors:
     """Return source and systematic errors of the odometry of each robot with enough data."""
     truth, robots = RecordedTruth(), {robot.name: robot for robot in settings.robots}
     of_robots: dict[str, tuple[list[Odometry], list[Scan]]] = {
@@ -156,7 +209,7 @@ def _odometry_errors(
 
 
 def _with_odometry_errors(
-    values: Mapping[str, object], found: Mapping[str, tuple[str, OdometryErrors]]
+    values: Mapping[str, object], found: RobotErrors
 ) -> dict[str, object]:
     """Return parameters with the systematic errors that were found, where they are others."""
     corrected = dict(values)
@@ -191,8 +244,8 @@ def _estimate(
     has_innovations = bool(amounts['landmark'] or amounts['robot'])
     if not estimates and not has_innovations:
         raise UserError(
-            f'{arguments.bag} has no observations with IDs, which calibration without ground truth'
-            ' needs: record <robot>/ground_truth, or landmarks with IDs such as tags')
+            f'{arguments.bag} has no observations, which calibration without ground truth needs:'
+            ' record <robot>/ground_truth, or landmarks')
     if not rest or not has_innovations or arguments.source == 'truth':
         return estimates
     corrected = _parsed(_corrected(values, estimates)).estimation
@@ -247,7 +300,7 @@ def _scores(
     return scores
 
 
-def _odometry_table(found: Mapping[str, tuple[str, OdometryErrors]]) -> str:
+def _odometry_table(found: RobotErrors) -> str:
     return text_table(ODOMETRY_HEADINGS, (
         (robot, *(
             cell for value, sigma, is_known in zip(errors.values, errors.sigma, errors.is_known)
@@ -257,7 +310,7 @@ def _odometry_table(found: Mapping[str, tuple[str, OdometryErrors]]) -> str:
 
 
 def _odometry_remarks(
-    settings: Settings, found: Mapping[str, tuple[str, OdometryErrors]]
+    settings: Settings, found: RobotErrors
 ) -> Iterator[str]:
     unknown = [robot.name for robot in settings.robots if robot.name not in found]
     if unknown:
@@ -280,8 +333,8 @@ def _factor_table(estimates: Estimates) -> str:
         for kind, estimate in estimates.items() for robot, noise in estimate.scales.items()))
 
 
-def _remarks(collector: RecordCollector, estimates: Estimates) -> Iterator[str]:
-    amounts = counts(collector.records)
+def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
+    estimates, amounts = found.estimates, counts(found.matched.records)
     for kind in DOF:
         if amounts[kind] and not _is_known(estimates, kind):
             yield (
@@ -292,6 +345,10 @@ def _remarks(collector: RecordCollector, estimates: Estimates) -> Iterator[str]:
             yield (
                 f'{kind}_noise_scale {estimate.scales[""].scale:.3g} is more than wrong noise'
                 ' explains: check units, frames and sensor poses, doctor names some of them')
+    if found.matched.counts:
+        yield (
+            '{matched} observations without ID matched landmarks, {new} began some, {doubtful} may'
+            ' be of several and were left out'.format_map(found.matched.counts))
     without_id = collector.statistics.total(RejectionReason.NO_IDENTITY)
     if without_id:
         yield f'{without_id} observations without ID were left out, also of NIS and NEES'

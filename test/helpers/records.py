@@ -9,7 +9,7 @@ import numpy as np
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
-    Observation, Odometry, RobotObservation, RobotScan, Scan, TruePose)
+    NO_ID, Observation, Odometry, RobotObservation, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 
 #: A millisecond in ns, and a nanosecond in ms.
@@ -47,6 +47,13 @@ def robot_scan(robot, ms, seen=()):
 def true_pose(robot, ms, pose):
     """Return the ground truth of a pose."""
     return TruePose(robot, round(ms * MS), np.array(pose, dtype=float))
+
+
+def without_ids(records):
+    """Return records in which no observation of a landmark has an ID."""
+    return [
+        replace(r, observations=tuple(replace(s, id=NO_ID) for s in r.observations))
+        if isinstance(r, Scan) else r for r in records]
 
 
 def claiming(records, factors):

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """A robot that observes nothing for long comes back to the map, and its covariance is right."""
 
-from dataclasses import replace
 from math import radians
 
 import numpy as np
@@ -10,10 +9,11 @@ import pytest
 
 from fej_slam_ros.core.consistency import nees_per_dof, pose_error
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
-from fej_slam_ros.core.records import NO_ID, Scan, TruePose
+from fej_slam_ros.core.records import Scan, TruePose
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import circles, estimate
+from helpers.records import without_ids
 
 #: Over the occlusion, the standard deviation of the heading grows to 0.4 rad.
 SENSORS = SensorSettings((0.05, 0.05, radians(3.0)), (0.2, 0.2))
@@ -37,10 +37,8 @@ def after_an_occlusion_without_ids(seed, robots=('r1',), **settings):
         for r in reversed(records) if isinstance(r, TruePose)}
     team = [RobotSettings(name, k, start_pose=starts[name] if k > 1 else None)
             for k, name in enumerate(robots, start=1)]
-    without_ids = [
-        replace(r, observations=tuple(replace(s, id=NO_ID) for s in r.observations))
-        if isinstance(r, Scan) else r for r in records]
-    return occluded(without_ids, robots[-1], 1 / 2, team, anchor_pose=starts['r1'], **settings)
+    return occluded(
+        without_ids(records), robots[-1], 1 / 2, team, anchor_pose=starts['r1'], **settings)
 
 
 def occluded(records, hidden, since, robots, **settings):

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from fej_slam_ros.core.calibration.from_truth import NoiseScale, OUTLIER_PROBABILITY
+from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Odometry, PriorMap, Record, RobotScan, Scan
@@ -31,6 +32,9 @@ Received = tuple[Record, int | None]
 #: Observer, stamp, and observed robot or landmark ID of an observation.
 ObservationKey = tuple[str, int, str | int | None]
 
+#: Filter of which errors of linearisation change innovations least. With FEJ, large corrections of
+#: a heading would count as noise of observations.
+FILTER = 'invariant'
 #: First and last step of the search in the logarithms of the factors; the last one is also that of
 #: the finite differences.
 FIRST_STEP, LAST_STEP = math.log(2.0), 0.1
@@ -49,20 +53,21 @@ def with_scales(settings: Settings, scales: Mapping[str, float]) -> Settings:
     return replace(settings, robots=robots, **named)
 
 
+def steps(estimator: Estimator, records: Iterable[Received]) -> Iterator[StepResult]:
+    """Add all records and close; yield each step when it is finished."""
+    for record, received in records:
+        estimator.add(record, received)
+        yield from estimator.take()
+    yield from estimator.close()
+
+
 def run(
     settings: Settings, records: Iterable[Received], prior: PriorMap | None = None
 ) -> tuple[Estimator, list[Rejection]]:
     """Return an estimator after all records, and the rejected observations."""
     estimator = Estimator(settings, prior)
     rejected: list[Rejection] = []
-
-    def steps() -> Iterator[object]:
-        for record, received in records:
-            estimator.add(record, received)
-            yield from estimator.take()
-        yield from estimator.close()
-
-    for _ in steps():
+    for _ in steps(estimator, records):
         rejected += estimator.statistics.rejections
         estimator.statistics.rejections.clear()
     return estimator, rejected
@@ -80,7 +85,7 @@ def most_likely_scales(
 
     Parameters
     ----------
-    settings : of the estimator; noise scales of other kinds are not changed
+    settings : of the estimator but for its filter; noise scales of other kinds are not changed
     records : observations must have IDs, as likelihoods of different matches are not comparable
     kinds : kinds of noise, as in the parameters ``<kind>_noise_scale``
     prior : map known before the run
@@ -110,8 +115,8 @@ class _Search:
     ) -> None:
         # Joins and moved landmarks must not depend on the scales.
         self._ungated = replace(
-            settings, gate_probability=1.0, join_probability=1.0, inflate_rejected_scans=False,
-            moved_landmarks='ignore')
+            settings, filter=FILTER, gate_probability=1.0, join_probability=1.0,
+            inflate_rejected_scans=False, moved_landmarks='ignore')
         self._gated = replace(self._ungated, gate_probability=1.0 - OUTLIER_PROBABILITY)
         self._kinds, self._prior, self._on_run = kinds, prior, on_run
 

@@ -81,7 +81,7 @@ def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
             f'twist.covariance is zero in {unknown.sum()} of {len(variances)} messages: the'
             ' parameter odometry_sigma is used',
             'fill the (vx, vy, wz) entries of twist.covariance, or calibrate odometry_sigma'
-            ' (fej_slam calibrate, by ground truth or landmarks with IDs)', int(unknown.sum()))
+            ' (fej_slam calibrate, by ground truth or landmarks)', int(unknown.sum()))
     known = variances[~unknown]
     sigma = np.sqrt(known)
     # A variance of zero is valid for vy: many robots cannot move sideways.

@@ -14,7 +14,7 @@ from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session import simulation
 from helpers.paths import BAGS
-from helpers.records import claiming, odometry, scan
+from helpers.records import claiming, odometry, scan, without_ids
 from helpers.ros import raw_record, run_verb, write_bag, write_parameters
 
 #: Covariances of odometry are for half of its noise, those of observations for double.
@@ -65,6 +65,24 @@ def test_factors_are_those_of_the_simulation(calibrate, places, records, options
         assert rest == [source, 'yes']
         assert float(factor) == pytest.approx(scale, abs=1e-3)
         assert abs(math.log(scale / true)) < 4.0 * float(standard_error) / float(factor)
+
+
+def test_factors_are_found_from_landmarks_without_ids(calibrate):
+    simulated = simulation.parse({
+        'loops': 2, 'rate': 1, 'landmarks': 30, 'seed': 3, 'landmark_sigma': [0.03, 0.03]})
+    records = without_ids(claiming(simulated.records(), {Odometry: 0.5, Scan: 2.0}))
+
+    status, printed, error = calibrate(records, '--from', 'innovations')
+
+    assert (status, error) == (0, '')
+    assert 'observations without ID matched landmarks' in printed
+    for kind, true in zip(('odometry', 'landmark'), (2.0, 0.5)):
+        factor, standard_error, *_ = map(float, row(printed, kind, 'all')[:3])
+        # Matches have a gate, which cuts the root mean square of two normal errors by 2.3 %.
+        assert abs(math.log(factor / true)) < 4.0 * standard_error / factor + 0.023
+    for robot in ('r1', 'r2'):
+        _, nis, *_ = row(printed, robot)
+        assert abs(float(nis) - 1.0) < 0.15
 
 
 def test_the_filter_is_consistent_after_calibration(calibrate):
@@ -176,7 +194,7 @@ def test_too_little_data_is_reported(calibrate, places):
 
 @pytest.mark.parametrize(('records', 'options', 'sentence'), [
     (WITHOUT_TRUTH, ('--from', 'truth'), 'has no ground truth'),
-    ([r for r in WITHOUT_TRUTH if isinstance(r, Odometry)], (), 'has no observations with IDs'),
+    ([r for r in WITHOUT_TRUTH if isinstance(r, Odometry)], (), 'has no observations'),
     ([scan('r1', 0, [(1, (1.0, 0.0))])], (), 'none of the topics r1/odom, r2/odom'),
     ([odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(1, (1.0, 0.0))])], (),
      'has too little data to calibrate any noise'),

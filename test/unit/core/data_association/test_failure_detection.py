@@ -12,13 +12,14 @@ from fej_slam_ros.core.data_association.failure_detection import (
 from fej_slam_ros.core.ekf.gating import ScanGateStatistics
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose
-from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan, TruePose
+from fej_slam_ros.core.records import NS, Odometry, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.snapshot import restore, snapshot
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import circles, estimate
 from helpers.moved_landmarks import drive, SECOND_LOOP, with_moved
+from helpers.records import without_ids
 
 TEAM = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1')
 
@@ -87,10 +88,7 @@ def test_a_carried_robot_comes_back_by_landmarks_without_ids(seed):
         (0.1, 0.1, np.radians(1.0)), (0.15, 0.15)))
     stamps = sorted(r.stamp for r in records if isinstance(r, Odometry))
     start = next(r.pose for r in records if isinstance(r, TruePose))
-    without_ids = [
-        replace(r, observations=tuple(replace(s, id=NO_ID) for s in r.observations))
-        if isinstance(r, Scan) else r for r in records]
-    records = carried(without_ids, 'r1', stamps[150], stamps[156])
+    records = carried(without_ids(records), 'r1', stamps[150], stamps[156])
 
     estimator, results = estimate(records, ['r1'], anchor_pose=tuple(start.tolist()))
 
