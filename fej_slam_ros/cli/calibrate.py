@@ -17,29 +17,20 @@ Observations without IDs are matched by the estimator, again and again with the 
 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
-import math
-from operator import attrgetter
 from pathlib import Path
-from typing import NamedTuple
 
-import numpy as np
 from tqdm import tqdm
 
 from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
+from fej_slam_ros.cli.calibration_run import (
+    calibrated, Calibration, Estimates, is_known, parsed, RobotErrors)
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
-from fej_slam_ros.core.calibration.from_innovations import (
-    counts, most_likely_scales, Received, run as run_estimator)
-from fej_slam_ros.core.calibration.from_truth import (
-    DOF, ERROR_WINDOW, Errors, MAX_RELATIVE_ERROR, noise_scales, NoiseScale, normalized_errors)
-from fej_slam_ros.core.calibration.matched_ids import (
-    are_without_ids, MatchedRecords, with_matched_ids)
-from fej_slam_ros.core.calibration.odometry_errors import (
-    fit_to_landmarks, fit_to_truth, MAX_ERROR, OdometryErrors)
+from fej_slam_ros.core.calibration.from_innovations import counts, Received, run as run_estimator
+from fej_slam_ros.core.calibration.from_truth import DOF, MAX_RELATIVE_ERROR
+from fej_slam_ros.core.calibration.odometry_errors import MAX_ERROR
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
-from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
@@ -57,41 +48,8 @@ ODOMETRY_HEADINGS = (
     'odometry of', 'distance', 'standard error', 'turn', 'standard error', 'turn bias [rad/s]',
     'standard error', 'pairs', 'from')
 
-#: Range of the noise scale parameters.
-MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 #: Factor on noise beyond which something else is wrong.
 MAX_USUAL = 5.0
-#: Maximum number of times that observations without IDs are matched, and the change of the
-#: logarithm of a factor below which they are not matched again.
-MAX_ROUNDS, MAX_CHANGE = 8, 0.05
-
-
-class ScaleEstimate(NamedTuple):
-    """Scales of one kind of noise by robot; '' is the scale of all robots."""
-
-    source: str
-    scales: Mapping[str, NoiseScale]
-
-
-#: Estimates by kind of noise.
-Estimates = Mapping[str, ScaleEstimate]
-#: Source and systematic errors of the odometry of each robot with enough data.
-RobotErrors = Mapping[str, tuple[str, OdometryErrors]]
-
-
-class Calibration(NamedTuple):
-    """What was found, and the records from which."""
-
-    values: Mapping[str, object]  #: the corrected parameters
-    odometry: RobotErrors
-    estimates: Estimates
-    matched: MatchedRecords
-
-    def scales(self) -> dict[str, float]:
-        """Return the scale of all robots that was written, by kind of noise."""
-        return {
-            kind: estimate.scales[''].scale for kind, estimate in self.estimates.items()
-            if _is_known(self.estimates, kind)}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -127,7 +85,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     if not counts(collector.records)['odometry']:
         raise UserError(
             f'{arguments.bag} has no valid odometry: replay it to see the rejection reasons')
-    found = _calibrated(arguments, values, collector.records)
+    found = calibrated(arguments, values, collector.records)
     corrected, odometry, estimates = found.values, found.odometry, found.estimates
     if corrected == values:
         raise UserError(
@@ -148,144 +106,11 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _calibrated(
-    arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received]
-) -> Calibration:
-    """Return the calibration of records; matches of observations without IDs depend on it."""
-    if not are_without_ids(records):
-        return _calibrated_by(arguments, values, MatchedRecords(records))
-    settings, scales = _parsed(values), dict[str, float]()
-    for _ in range(MAX_ROUNDS):
-        matched = with_matched_ids(settings.estimation, records, prior_map(settings))
-        found = _calibrated_by(arguments, values, matched)
-        before, scales = scales, found.scales()
-        if before.keys() == scales.keys() and all(
-                abs(math.log(scales[kind] / before[kind])) < MAX_CHANGE for kind in scales):
-            break
-        settings = _parsed(found.values)
-    return found
-
-
-def _calibrated_by(
-    arguments: argparse.Namespace, values: Mapping[str, object], matched: MatchedRecords
-) -> Calibration:
-    """Return the calibration of records in which all observations have IDs."""
-    odometry = _odometry_errors(arguments.source, _parsed(values).estimation, matched.records)
-    corrected = _with_odometry_errors(values, odometry)
-    estimates = _estimate(arguments, corrected, matched.records)
-    return Calibration(_corrected(corrected, estimates), odometry, estimates, matched)
-
-
-def _parsed(values: Mapping[str, object]) -> parameters.RunSettings:
-    # What is wrong in the file was written when it was loaded.
-    return parameters.parse(values, parameters.no_warning)
-
-
-def _odometry_errors(
-    source: str | None, settings: Settings, records: Sequence[Received]
-) -> RobotErrors:
-    """Return source and systematic errors of the odometry of each robot with enough data."""
-    truth, robots = RecordedTruth(), {robot.name: robot for robot in settings.robots}
-    of_robots: dict[str, tuple[list[Odometry], list[Scan]]] = {
-        robot: ([], []) for robot in robots}
-    for record, _ in records:
-        if isinstance(record, TruePose):
-            truth.add(record)
-        elif isinstance(record, Odometry):
-            of_robots[record.robot][0].append(record)
-        elif isinstance(record, Scan):
-            of_robots[record.robot][1].append(record)
-    found = {}
-    for robot, (odometry, scans) in of_robots.items():
-        given = np.array([*robots[robot].odometry_scale, robots[robot].odometry_turn_bias])
-        fit = None if source == 'innovations' else fit_to_truth(odometry, truth, given)
-        if fit is not None:
-            found[robot] = 'truth', fit
-        elif source != 'truth':
-            fit = fit_to_landmarks(odometry, sorted(scans, key=attrgetter('stamp')), given)
-            if fit is not None:
-                found[robot] = 'landmarks', fit
-    return found
-
-
-def _with_odometry_errors(
-    values: Mapping[str, object], found: RobotErrors
-) -> dict[str, object]:
-    """Return parameters with the systematic errors that were found, where they are others."""
-    corrected = dict(values)
-    present = {robot.name: robot for robot in _parsed(values).estimation.robots}
-    for robot, (_, errors) in found.items():
-        distance, turn, bias = (
-            float(f'{value:.4g}') if is_known else float(value)
-            for value, is_known in zip(errors.values, errors.is_known))
-        if (distance, turn) != present[robot].odometry_scale:
-            corrected[f'{robot}.odometry_scale'] = [distance, turn]
-        if bias != present[robot].odometry_turn_bias:
-            corrected[f'{robot}.odometry_turn_bias'] = bias
-    return corrected
-
-
-def _estimate(
-    arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received]
-) -> Estimates:
-    """Return the scales of the requested sources, ground truth first."""
-    settings, amounts = _parsed(values), counts(records)
-    errors: Mapping[str, Errors] = {}
-    if arguments.source != 'innovations':
-        errors = normalized_errors([record for record, _ in records], settings.estimation)
-    if arguments.source == 'truth' and not errors:
-        raise UserError(
-            f'{arguments.bag} has no ground truth that covers an observation or'
-            f' {ERROR_WINDOW / NS:g} s of odometry: leave out --from truth')
-    estimates = {
-        kind: ScaleEstimate('truth', noise_scales(samples, DOF[kind]))
-        for kind, samples in errors.items()}
-    rest = [kind for kind in DOF if amounts[kind] and not _is_known(estimates, kind)]
-    has_innovations = bool(amounts['landmark'] or amounts['robot'])
-    if not estimates and not has_innovations:
-        raise UserError(
-            f'{arguments.bag} has no observations, which calibration without ground truth needs:'
-            ' record <robot>/ground_truth, or landmarks')
-    if not rest or not has_innovations or arguments.source == 'truth':
-        return estimates
-    corrected = _parsed(_corrected(values, estimates)).estimation
-    with tqdm(desc='search', unit='run', disable=None) as bar:
-        likeliest = most_likely_scales(
-            corrected, _beginning(records, arguments.seconds), rest,
-            prior_map(settings), bar.update)
-    return estimates | {
-        kind: ScaleEstimate('innovations', {'': noise}) for kind, noise in likeliest.items()}
-
-
-def _beginning(records: Sequence[Received], seconds: int) -> list[Received]:
-    """Return the records up to a time after the first odometry, and the true landmarks."""
-    first = min(record.stamp for record, _ in records if isinstance(record, Odometry))
-    return [
-        (record, received) for record, received in records
-        if isinstance(record, TrueLandmarks) or record.stamp <= first + seconds * NS]
-
-
-def _corrected(values: Mapping[str, object], estimates: Estimates) -> dict[str, object]:
-    corrected = dict(values)
-    for kind in estimates:
-        if _is_known(estimates, kind):
-            name = f'{kind}_noise_scale'
-            corrected = {key: x for key, x in corrected.items() if key.split('.')[-1] != name}
-            for robot, noise in estimates[kind].scales.items():
-                scale = min(max(noise.scale, MIN_SCALE), MAX_SCALE)
-                corrected[f'{robot}.{name}'.lstrip('.')] = float(f'{scale:.4g}')
-    return corrected
-
-
-def _is_known(estimates: Estimates, kind: str) -> bool:
-    return kind in estimates and estimates[kind].scales[''].is_known()
-
-
 def _scores(
     name: str, values: Mapping[str, object], records: Sequence[Received]
 ) -> dict[str, tuple[str, str, str]]:
     """Return NIS/dof, NEES/3 and the number of gated observations of each robot, as text."""
-    settings = _parsed(values)
+    settings = parsed(values)
     estimator, _ = run_estimator(
         settings.estimation, tqdm(records, name, unit='msg', disable=None),
         prior_map(settings))
@@ -329,14 +154,14 @@ def _odometry_remarks(
 def _factor_table(estimates: Estimates) -> str:
     return text_table(FACTOR_HEADINGS, (
         (kind, robot or 'all', f'{noise.scale:.3f}', f'{noise.scale * noise.relative_error:.3f}',
-         str(noise.samples), estimate.source, 'yes' if _is_known(estimates, kind) else 'no')
+         str(noise.samples), estimate.source, 'yes' if is_known(estimates, kind) else 'no')
         for kind, estimate in estimates.items() for robot, noise in estimate.scales.items()))
 
 
 def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
     estimates, amounts = found.estimates, counts(found.matched.records)
     for kind in DOF:
-        if amounts[kind] and not _is_known(estimates, kind):
+        if amounts[kind] and not is_known(estimates, kind):
             yield (
                 f'too little data to know {kind}_noise_scale to {100 * MAX_RELATIVE_ERROR:.0f} %:'
                 ' it is unchanged')

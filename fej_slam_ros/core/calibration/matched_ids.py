@@ -8,7 +8,7 @@ landmark an observation is of is therefore decided once, before these runs.
 """
 
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
 
 from fej_slam_ros.core.calibration.from_innovations import FILTER, Received, steps
@@ -34,7 +34,8 @@ def are_without_ids(records: Sequence[Received]) -> bool:
 
 
 def with_matched_ids(
-    settings: Settings, records: Sequence[Received], prior: PriorMap | None = None
+    settings: Settings, records: Sequence[Received], prior: PriorMap | None = None,
+    on_step: Callable[[], object] = lambda: None,
 ) -> MatchedRecords:
     """
     Return records with the IDs of the landmarks that observations without ID match.
@@ -44,14 +45,17 @@ def with_matched_ids(
     settings : of the estimator that matches them, but for its filter
     records : a robot has at most one scan with observations without ID at a stamp
     prior : map known before the run
+    on_step : called after each step of the estimator
 
     """
     estimator = Estimator(replace(settings, filter=FILTER), prior)
     # The noise of what the estimator returns is scaled: only IDs are taken from it.
-    matches = {
-        (scan.robot, scan.stamp, o.z.tobytes()): o.id
-        for step in steps(estimator, records) for scan in step.associated
-        for o in scan.observations}
+    matches: dict[tuple[str, int, bytes], int] = {}
+    for step in steps(estimator, records):
+        on_step()
+        matches |= {
+            (scan.robot, scan.stamp, o.z.tobytes()): o.id
+            for scan in step.associated for o in scan.observations}
     # An estimator assigns IDs below -1, whose landmarks wait for further matches to confirm them.
     # The matches are decided here: others are assigned, above all that are known.
     prior_ids = () if prior is None else prior.ids

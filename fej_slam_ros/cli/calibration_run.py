@@ -1,0 +1,198 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Calibration of parameters by the records of a bag: the values that correct them."""
+
+import argparse
+from collections.abc import Mapping, Sequence
+import math
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from fej_slam_ros.core.calibration.from_innovations import counts, most_likely_scales, Received
+from fej_slam_ros.core.calibration.from_truth import (
+    DOF, ERROR_WINDOW, Errors, noise_scales, NoiseScale, normalized_errors)
+from fej_slam_ros.core.calibration.matched_ids import (
+    are_without_ids, MatchedRecords, with_matched_ids)
+from fej_slam_ros.core.calibration.odometry_errors import (
+    fit_to_landmarks, fit_to_truth, OdometryErrors)
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.errors import UserError
+from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.files.prior_map import prior_map
+
+#: Range of the noise scale parameters.
+MIN_SCALE, MAX_SCALE = 1e-3, 1e3
+#: Maximum number of times that observations without IDs are matched, and the change of the
+#: logarithm of a factor below which they are not matched again.
+MAX_ROUNDS, MAX_CHANGE = 8, 0.05
+
+
+class ScaleEstimate(NamedTuple):
+    """Scales of one kind of noise by robot; '' is the scale of all robots."""
+
+    source: str
+    scales: Mapping[str, NoiseScale]
+
+
+#: Estimates by kind of noise.
+Estimates = Mapping[str, ScaleEstimate]
+#: Source and systematic errors of the odometry of each robot with enough data.
+RobotErrors = Mapping[str, tuple[str, OdometryErrors]]
+
+
+class Calibration(NamedTuple):
+    """What was found, and the records from which."""
+
+    values: Mapping[str, object]  #: the corrected parameters
+    odometry: RobotErrors
+    estimates: Estimates
+    matched: MatchedRecords
+
+    def scales(self) -> dict[str, float]:
+        """Return the scale of all robots that was written, by kind of noise."""
+        return {
+            kind: estimate.scales[''].scale for kind, estimate in self.estimates.items()
+            if is_known(self.estimates, kind)}
+
+
+def calibrated(
+    arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received]
+) -> Calibration:
+    """Return the calibration of records; matches of observations without IDs depend on it."""
+    if not are_without_ids(records):
+        return _calibrated_by(arguments, values, MatchedRecords(records))
+    settings, scales = parsed(values), dict[str, float]()
+    for _ in range(MAX_ROUNDS):
+        with tqdm(desc='match', unit='step', disable=None) as bar:
+            matched = with_matched_ids(
+                settings.estimation, records, prior_map(settings), bar.update)
+        found = _calibrated_by(arguments, values, matched)
+        before, scales = scales, found.scales()
+        if before.keys() == scales.keys() and all(
+                abs(math.log(scales[kind] / before[kind])) < MAX_CHANGE for kind in scales):
+            break
+        settings = parsed(found.values)
+    return found
+
+
+def _calibrated_by(
+    arguments: argparse.Namespace, values: Mapping[str, object], matched: MatchedRecords
+) -> Calibration:
+    """Return the calibration of records in which all observations have IDs."""
+    odometry = _odometry_errors(arguments.source, parsed(values).estimation, matched.records)
+    corrected = _with_odometry_errors(values, odometry)
+    estimates = _estimate(arguments, corrected, matched.records)
+    return Calibration(_corrected(corrected, estimates), odometry, estimates, matched)
+
+
+def parsed(values: Mapping[str, object]) -> parameters.RunSettings:
+    """Return the settings that parameters give."""
+    # What is wrong in the file was written when it was loaded.
+    return parameters.parse(values, parameters.no_warning)
+
+
+def _odometry_errors(
+    source: str | None, settings: Settings, records: Sequence[Received]
+) -> RobotErrors:
+    """Return source and systematic errors of the odometry of each robot with enough data."""
+    truth, robots = RecordedTruth(), {robot.name: robot for robot in settings.robots}
+    of_robots: dict[str, tuple[list[Odometry], list[Scan]]] = {
+        robot: ([], []) for robot in robots}
+    for record, _ in records:
+        if isinstance(record, TruePose):
+            truth.add(record)
+        elif isinstance(record, Odometry):
+            of_robots[record.robot][0].append(record)
+        elif isinstance(record, Scan):
+            of_robots[record.robot][1].append(record)
+    found = {}
+    for robot, (odometry, scans) in of_robots.items():
+        given = np.array([*robots[robot].odometry_scale, robots[robot].odometry_turn_bias])
+        fit = None if source == 'innovations' else fit_to_truth(odometry, truth, given)
+        if fit is not None:
+            found[robot] = 'truth', fit
+        elif source != 'truth':
+            fit = fit_to_landmarks(odometry, sorted(scans, key=attrgetter('stamp')), given)
+            if fit is not None:
+                found[robot] = 'landmarks', fit
+    return found
+
+
+def _with_odometry_errors(
+    values: Mapping[str, object], found: RobotErrors
+) -> dict[str, object]:
+    """Return parameters with the systematic errors that were found, where they are others."""
+    corrected = dict(values)
+    present = {robot.name: robot for robot in parsed(values).estimation.robots}
+    for robot, (_, errors) in found.items():
+        distance, turn, bias = (
+            float(f'{value:.4g}') if is_determined else float(value)
+            for value, is_determined in zip(errors.values, errors.is_known))
+        if (distance, turn) != present[robot].odometry_scale:
+            corrected[f'{robot}.odometry_scale'] = [distance, turn]
+        if bias != present[robot].odometry_turn_bias:
+            corrected[f'{robot}.odometry_turn_bias'] = bias
+    return corrected
+
+
+def _estimate(
+    arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received]
+) -> Estimates:
+    """Return the scales of the requested sources, ground truth first."""
+    settings, amounts = parsed(values), counts(records)
+    errors: Mapping[str, Errors] = {}
+    if arguments.source != 'innovations':
+        errors = normalized_errors([record for record, _ in records], settings.estimation)
+    if arguments.source == 'truth' and not errors:
+        raise UserError(
+            f'{arguments.bag} has no ground truth that covers an observation or'
+            f' {ERROR_WINDOW / NS:g} s of odometry: leave out --from truth')
+    estimates = {
+        kind: ScaleEstimate('truth', noise_scales(samples, DOF[kind]))
+        for kind, samples in errors.items()}
+    rest = [kind for kind in DOF if amounts[kind] and not is_known(estimates, kind)]
+    has_innovations = bool(amounts['landmark'] or amounts['robot'])
+    if not estimates and not has_innovations:
+        raise UserError(
+            f'{arguments.bag} has no observations, which calibration without ground truth needs:'
+            ' record <robot>/ground_truth, or landmarks')
+    if not rest or not has_innovations or arguments.source == 'truth':
+        return estimates
+    corrected = parsed(_corrected(values, estimates)).estimation
+    with tqdm(desc='search', unit='run', disable=None) as bar:
+        likeliest = most_likely_scales(
+            corrected, _beginning(records, arguments.seconds), rest,
+            prior_map(settings), bar.update)
+    return estimates | {
+        kind: ScaleEstimate('innovations', {'': noise}) for kind, noise in likeliest.items()}
+
+
+def _beginning(records: Sequence[Received], seconds: int) -> list[Received]:
+    """Return the records up to a time after the first odometry, and the true landmarks."""
+    first = min(record.stamp for record, _ in records if isinstance(record, Odometry))
+    return [
+        (record, received) for record, received in records
+        if isinstance(record, TrueLandmarks) or record.stamp <= first + seconds * NS]
+
+
+def _corrected(values: Mapping[str, object], estimates: Estimates) -> dict[str, object]:
+    """Return parameters with the noise scales that are known, instead of all others of a kind."""
+    corrected = dict(values)
+    for kind in estimates:
+        if is_known(estimates, kind):
+            name = f'{kind}_noise_scale'
+            corrected = {key: x for key, x in corrected.items() if key.split('.')[-1] != name}
+            for robot, noise in estimates[kind].scales.items():
+                scale = min(max(noise.scale, MIN_SCALE), MAX_SCALE)
+                corrected[f'{robot}.{name}'.lstrip('.')] = float(f'{scale:.4g}')
+    return corrected
+
+
+def is_known(estimates: Estimates, kind: str) -> bool:
+    """Return whether there was enough data for a kind of noise."""
+    return kind in estimates and estimates[kind].scales[''].is_known()
