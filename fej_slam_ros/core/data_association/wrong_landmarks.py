@@ -10,7 +10,8 @@ confirm observes it. One that fails the gate again and again, among others that 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import Association, CONTRADICTION_D2, StatisticsByRobot
+from fej_slam_ros.core.ekf.gating import (
+    Association, CONTRADICTION_D2, StatisticsByRobot, suspected_robots)
 from fej_slam_ros.core.ekf.state import JointState, Landmark, MovedLandmarkEvidence, Robot
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -36,7 +37,7 @@ def update_trust(
             a.observed.is_reobserved = True
             if a.observer.name in confirmed:
                 a.observed.is_trusted = True
-    suspected = [name for name, scan in statistics.items() if scan.mostly_failed()]
+    suspected = suspected_robots(statistics)
     started = [
         landmark for landmark in state.landmarks.values()
         if landmark.owner in suspected and landmark.created == stamp] if suspected else []
@@ -55,7 +56,7 @@ def remove_contradicted(
     One of the two is wrong, such as a misread tag. The next observation starts the landmark again.
 
     """
-    suspected = {name for name, scan in statistics.items() if scan.mostly_failed()}
+    suspected = suspected_robots(statistics)
     contradicted: dict[LandmarkKey, Landmark] = {}
     for gated in innovation.rejected:
         observer, observed, _ = gated.association
@@ -82,17 +83,17 @@ def ignore_moved(state: JointState, innovation: Innovation, statistics: Statisti
 
 def report_moved(state: JointState, innovation: Innovation, statistics: StatisticsByRobot) -> None:
     """Collect evidence for each landmark until one of its observations passes the gate."""
-    failed = {name for name, scan in statistics.items() if scan.mostly_failed()}
+    suspected = suspected_robots(statistics)
     for a in innovation.used:
-        if a.observer.name not in failed and isinstance(a.observed, Landmark):
+        if a.observer.name not in suspected and isinstance(a.observed, Landmark):
             a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
     if not innovation.rejected:
         return
-    passed = _of_landmarks(a for a in innovation.used if a.observer.name not in failed)
+    passed = _of_landmarks(a for a in innovation.used if a.observer.name not in suspected)
     rejected = _of_landmarks(gated.association for gated in innovation.rejected)
-    suspects = _of_landmarks(
+    contradicting = _of_landmarks(
         gated.association for gated in innovation.rejected if gated.d2 > CONTRADICTION_D2)
-    for robot, landmark in suspects:
+    for robot, landmark in contradicting:
         if _pose_is_confirmed(robot, landmark, passed, rejected):
             landmark.moved_evidence = landmark.moved_evidence or MovedLandmarkEvidence()
             landmark.moved_evidence.add(robot.name, state.estimate(robot)[:2])

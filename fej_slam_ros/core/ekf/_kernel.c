@@ -6,8 +6,8 @@
  * without the cost of numpy's calls on a few numbers.
  *
  * Small arrays may have any layout and any type of numbers; matrices of the size of the state are
- * Fortran arrays of double and changed in place. Arrays of other shapes raise. BLAS and LAPACK are those of scipy, through the
- * pointers that it offers to Cython.
+ * Fortran arrays of double and changed in place. Arrays of other shapes raise. BLAS and LAPACK are
+ * those of scipy, through the pointers that it offers to Cython.
  */
 
 #define PY_SSIZE_T_CLEAN
@@ -69,8 +69,8 @@ static PyObject *release(Arrays *a)
 /*
  * Take the arguments of the given kinds; return whether it succeeded, with no array held if not.
  * In C order: v, d and b of double with one, two and three axes; i of Py_ssize_t with one, I with
- * two. In Fortran order, two axes: f double; c a copy of that; m a matrix that is changed in place,
- * which is never converted. n is a number.
+ * two. In Fortran order, two axes: f double; c a copy of that; m a matrix that is changed in
+ * place, which is never converted. n is a number.
  */
 static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, const char *kinds)
 {

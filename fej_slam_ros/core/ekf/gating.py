@@ -129,6 +129,11 @@ def scan_gate_statistics(results: Iterable[tuple[Association, bool]]) -> Statist
     return dict(statistics)
 
 
+def suspected_robots(statistics: StatisticsByRobot) -> list[str]:
+    """Return the robots whose scans mostly failed."""
+    return [name for name, scan in statistics.items() if scan.mostly_failed()]
+
+
 class Gate:
     """
     A chi-square gate on each observation by itself.
@@ -183,8 +188,7 @@ class Gate:
     def _suspected(self, observations: Sequence[Association], d2: Array) -> list[str]:
         """Return the robots whose scans mostly failed."""
         failed = (d2 > max(self.threshold, CONTRADICTION_D2)).tolist()
-        statistics = scan_gate_statistics(zip(observations, failed))
-        return [name for name, scan in statistics.items() if scan.mostly_failed()]
+        return suspected_robots(scan_gate_statistics(zip(observations, failed)))
 
 
 class InflatingGate(Gate):

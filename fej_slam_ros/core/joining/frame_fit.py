@@ -14,6 +14,7 @@ from operator import itemgetter
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from fej_slam_ros.core.ekf.covariance import joint_indices
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, POSITION, position_indices, RendezvousPoint, Robot, Variable)
 from fej_slam_ros.core.geometry import (
@@ -44,8 +45,7 @@ class StackedVariables:
 
     def __init__(self, variables: Variables) -> None:
         self.variables = variables
-        self.indices = np.concatenate([
-            np.empty(0, np.intp), *(variable.slot.indices for variable in variables)])
+        self.indices = joint_indices([variable.slot for variable in variables])
         sizes = np.array([variable.slot.size for variable in variables], np.intp)
         starts = np.cumsum(sizes) - sizes
         # Where in x the positions (k, 2) and the headings are.
