@@ -19,7 +19,7 @@ from fej_slam_ros.core.chi_square import own_blocks, squared_distances
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import (
-    Failed, Measurements, outlier_report, Rendezvous, without_few_outliers)
+    Failed, Measurements, outlier_report, Rendezvous, RendezvousMeasurement, without_few_outliers)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -49,7 +49,7 @@ def close_loops(joint: JointMap, loops: Sequence[Rendezvous], rules: JoinRules) 
     left = list(_without_gross_outliers(closed, loops, rules))
     while left:
         try:
-            solved = with_measurements(joint, [m for _, own in left for m in own]).solved()
+            solved = with_measurements(joint, _measurements(left)).solved()
         except NoMinimumError:
             return _one_by_one(closed, left, rules)
         failures = _contradictions(solved, left, rules)
@@ -73,15 +73,19 @@ def with_measurements(joint: JointMap, measurements: Measurements) -> JointMap:
         joint.problem, rendezvous=concatenated(joint.problem.rendezvous, factors)))
 
 
+def _measurements(loops: Sequence[Rendezvous]) -> list[RendezvousMeasurement]:
+    return [m for loop in loops for m in loop.measurements]
+
+
 def _without_gross_outliers(
     closed: ClosedLoops, loops: Sequence[Rendezvous], rules: JoinRules
 ) -> Iterator[Rendezvous]:
     """Yield the rendezvous without observations that the map contradicts by far."""
-    used = with_measurements(closed.joint, [m for _, own in loops for m in own])
+    used = with_measurements(closed.joint, _measurements(loops))
     factors, limit = used.problem.rendezvous, GROSS_FACTOR * rules.limit(2)
     information = closed.joint.information([*factors.pose, *factors.target])
     for loop, r, R, HPH in _residuals(used, information, loops):
-        pair, own = loop
+        own = loop.measurements
         d2 = squared_distances(r.reshape(-1, 2), own_blocks(R + HPH))
         kept = without_few_outliers(own, (d2 > limit).tolist())
         if kept is None:
@@ -90,8 +94,8 @@ def _without_gross_outliers(
                 ' map)')))
             continue
         if len(kept) < len(own):
-            closed.outliers.append(outlier_report(pair, len(own) - len(kept), len(own)))
-        yield pair, kept
+            closed.outliers.append(outlier_report(loop, len(kept)))
+        yield loop._replace(measurements=kept)
 
 
 def _contradictions(
@@ -115,9 +119,9 @@ def _residuals(
     """Yield r (2 k,), R and H P H^T (2 k, 2 k) of each loop; they are the last of the map."""
     factors = joint.problem.rendezvous
     H, r = factors.linearize(joint.values)
-    end = len(r) - sum(len(own) for _, own in loops)
+    end = len(r) - len(_measurements(loops))
     for loop in loops:
-        begin, end = end, end + len(loop[1])
+        begin, end = end, end + len(loop.measurements)
         rows = slice(begin, end)
         poses, columns = np.unique(
             np.column_stack([factors.pose[rows], factors.target[rows]]), return_inverse=True)
@@ -135,12 +139,12 @@ def _one_by_one(
     """Close the loops one after another: together they are too far from a minimum."""
     for loop in loops:
         try:
-            solved = with_measurements(closed.joint, loop[1]).solved()
+            solved = with_measurements(closed.joint, loop.measurements).solved()
         except NoMinimumError as error:
             closed.failed.append((loop, JoinFailure(f'cannot align: {error}')))
             continue
         increase = solved.chi_square - closed.joint.chi_square
-        failure = rules.inconsistency(increase, 2 * len(loop[1]))
+        failure = rules.inconsistency(increase, 2 * len(loop.measurements))
         if failure is None:
             closed.joint = solved
         else:

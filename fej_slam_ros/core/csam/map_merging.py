@@ -59,13 +59,14 @@ def join_maps(
     failed = merger.apply(rendezvous_of(maps, measurements))
     # Rendezvous with too few observations may suffice together.
     pooled: dict[RobotPair, list[RendezvousMeasurement]] = {}
-    for (pair, rendezvous), _ in failed:
-        pooled.setdefault(pair, []).extend(rendezvous)
-    failed = merger.apply([*pooled.items()])
+    for rendezvous, _ in failed:
+        pooled.setdefault(rendezvous.robots, []).extend(rendezvous.measurements)
+    failed = merger.apply([Rendezvous(*of_pair) for of_pair in pooled.items()])
     matched = [*map(_matched, merger.groups)]
     return JoinedMaps(
         [joint for joint, _ in matched],
-        [*merger.outliers, *(replace(failure, robots=pair) for (pair, _), failure in failed),
+        [*merger.outliers,
+         *(replace(failure, robots=rendezvous.robots) for rendezvous, failure in failed),
          *(failure for _, failure in matched if failure is not None)],
         merger.landmark_outliers)
 
@@ -106,7 +107,8 @@ class _MapMerger:
         failed: list[Failed] = []
         loops: list[Rendezvous] = []
         for rendezvous in attempted:
-            p, *others = (g for g in self.groups if not set(rendezvous[0]).isdisjoint(g.robots))
+            p, *others = (
+                g for g in self.groups if not set(rendezvous.robots).isdisjoint(g.robots))
             if not others:
                 loops.append(rendezvous)
             elif failure := self._join(p, others[0], rendezvous, attempted, loops):
@@ -120,7 +122,8 @@ class _MapMerger:
     def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:
         failed: list[Failed] = []
         for k, group in enumerate(self.groups):
-            own = [loop for loop in loops if loop[1] and loop[0][0] in group.robots]
+            own = [
+                loop for loop in loops if loop.measurements and loop.robots[0] in group.robots]
             closed = close_loops(group, own, self._rules)
             if closed.joint is not group:
                 self._aligner.forget(group)
@@ -140,9 +143,8 @@ class _MapMerger:
 
         """
         aligned = align_by_landmarks(p, q, self._rules.min_shared)
-        is_by_landmarks = not isinstance(aligned, JoinFailure)
         if isinstance(aligned, JoinFailure):
-            joined = aligned if not rendezvous[1] else (
+            joined = aligned if not rendezvous.measurements else (
                 self._aligner.contradiction(p, q, rendezvous, attempted)
                 or self._joined_by_rendezvous(p, q, rendezvous))
         else:
@@ -153,7 +155,7 @@ class _MapMerger:
         for part in (p, q):
             part.problem.forget_systems()
             self._aligner.forget(part)
-        if is_by_landmarks:
+        if not isinstance(aligned, JoinFailure):
             loops.append(rendezvous)
         return None
 
@@ -192,15 +194,13 @@ class _MapMerger:
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous
     ) -> JointMap | JoinFailure:
         """Return the joined maps, leaving out a few outliers at most."""
-        pair, measurements = rendezvous
-        aligned = self._aligner.align(p, q, measurements)
+        aligned = self._aligner.align(p, q, rendezvous.measurements)
         if isinstance(aligned, JoinFailure):
             return aligned
         base_node, kept = aligned
         joined = self._solve(merged(p, q, base_node.pose), [p, q], kept)
-        if len(kept) < len(measurements) and not isinstance(joined, JoinFailure):
-            self.outliers.append(
-                outlier_report(pair, len(measurements) - len(kept), len(measurements)))
+        if len(kept) < len(rendezvous.measurements) and not isinstance(joined, JoinFailure):
+            self.outliers.append(outlier_report(rendezvous, len(kept)))
         return joined
 
     def _solve(

@@ -5,6 +5,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import Array
@@ -42,8 +43,15 @@ class RendezvousMeasurement:
 
 #: Robot-to-robot observations in the order of time.
 Measurements = Sequence[RendezvousMeasurement]
-#: Two robots and the observations of one session; none if they only share landmarks.
-Rendezvous = tuple[RobotPair, list[RendezvousMeasurement]]
+
+
+class Rendezvous(NamedTuple):
+    """Observations between two robots without a long pause."""
+
+    robots: RobotPair
+    measurements: list[RendezvousMeasurement]  #: none if the robots only share landmarks
+
+
 #: A rendezvous that was not used, and why.
 Failed = tuple[Rendezvous, JoinFailure]
 
@@ -57,9 +65,11 @@ def without_few_outliers(
     return [m for m, wrong in zip(measurements, is_outlier) if not wrong]
 
 
-def outlier_report(pair: RobotPair, removed: int, count: int) -> JoinFailure:
-    """Return the report of single observations that were left out."""
-    return JoinFailure(f'{removed} of {count} observations contradict the rest', pair)
+def outlier_report(rendezvous: Rendezvous, kept: int) -> JoinFailure:
+    """Return the report of a rendezvous of which only a number of observations is kept."""
+    count = len(rendezvous.measurements)
+    return JoinFailure(
+        f'{count - kept} of {count} observations contradict the rest', rendezvous.robots)
 
 
 def rendezvous_of(maps: Sequence[JointMap], measurements: Measurements) -> list[Rendezvous]:
@@ -80,4 +90,5 @@ def rendezvous_of(maps: Sequence[JointMap], measurements: Measurements) -> list[
     for p, q in combinations(maps, 2):
         if not set(p.landmarks).isdisjoint(q.landmarks):
             pairs.setdefault((p.robots[0], q.robots[0]), [[]])
-    return [(pair, session) for pair, sessions in pairs.items() for session in sessions]
+    return [
+        Rendezvous(pair, session) for pair, sessions in pairs.items() for session in sessions]

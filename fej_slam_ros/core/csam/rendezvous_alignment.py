@@ -91,7 +91,7 @@ class RendezvousAligner:
         for other in attempted:
             if other is not rendezvous and not (room and _relates(other, p, q)):
                 continue
-            aligned = self.align(p, q, other[1])
+            aligned = self.align(p, q, other.measurements)
             if not isinstance(aligned, JoinFailure):
                 compared.append(other)
                 base_nodes.append(aligned[0])
@@ -134,6 +134,5 @@ class RendezvousAligner:
 
 def _relates(rendezvous: Rendezvous, p: JointMap, q: JointMap) -> bool:
     """Return whether a rendezvous has observations between robots of two maps."""
-    pair, measurements = rendezvous
-    return bool(measurements) and not any(
-        set(pair).isdisjoint(group.robots) for group in (p, q))
+    return bool(rendezvous.measurements) and not any(
+        set(rendezvous.robots).isdisjoint(group.robots) for group in (p, q))

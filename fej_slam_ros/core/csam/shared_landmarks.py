@@ -82,9 +82,10 @@ def contradicting_landmarks(
         joint_map.values.points[[index[key] for key in shared]]
         for joint_map, index in ((p, index_p), (q, index_q)))
     candidates = {shared[k]: k for k in farthest_points(points_p, points_q)}
+    if not candidates:
+        return {}
     aligned = align_by_landmarks(p, q, rules.min_shared, candidates)
-    if not candidates or isinstance(aligned, JoinFailure) or rules.inconsistency(
-            aligned.chi_square, aligned.dof):
+    if isinstance(aligned, JoinFailure) or rules.inconsistency(aligned.chi_square, aligned.dof):
         return {}
     d2 = {}
     C = rotation(aligned.base_node[2])
