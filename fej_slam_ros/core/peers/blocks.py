@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
-    AnyScan, NS, Observation, Odometry, RobotObservation, RobotScan, Scan)
+    AnyObservation, AnyScan, NS, Observation, Odometry, RobotObservation, RobotScan, Scan)
 
 #: What a robot measures.
 Measurement = Odometry | AnyScan
@@ -60,9 +60,11 @@ def encoded(records: Sequence[Measurement]) -> bytes:
     odometry = [r for r in records if isinstance(r, Odometry)]
     scans = [r for r in records if isinstance(r, Scan)]
     robot_scans = [r for r in records if isinstance(r, RobotScan)]
-    seen: list[Observation] = [o for scan in scans for o in scan.observations]
-    seen_robots: list[RobotObservation] = [o for scan in robot_scans for o in scan.observations]
-    names = sorted({o.observed for o in seen_robots})
+    all_scans: list[AnyScan] = [*scans, *robot_scans]
+    of_landmarks: list[Observation] = [o for scan in scans for o in scan.observations]
+    of_robots: list[RobotObservation] = [o for scan in robot_scans for o in scan.observations]
+    observations: list[AnyObservation] = [*of_landmarks, *of_robots]
+    names = sorted({o.observed for o in of_robots})
     covariances = [r.twist_covariance for r in odometry if r.twist_covariance is not None]
     text = '\0'.join(names).encode()
     columns = [
@@ -71,13 +73,10 @@ def encoded(records: Sequence[Measurement]) -> bytes:
         np.array([_kind(r) for r in records], 'u1'),
         np.diff(np.array([r.stamp for r in records], '<i8'), prepend=0),
         np.array([r.pose for r in odometry], '<f8'), np.array(covariances, '<f8'),
-        np.array([
-            *(len(scan.observations) for scan in scans),
-            *(len(scan.observations) for scan in robot_scans)], '<u4'),
-        np.array([o.id for o in seen], '<i4'),
-        np.array([names.index(o.observed) for o in seen_robots], '<u2'),
-        np.array([*(o.z for o in seen), *(o.z for o in seen_robots)], '<f8'),
-        np.array([*(o.R for o in seen), *(o.R for o in seen_robots)], '<f8')]
+        np.array([len(scan.observations) for scan in all_scans], '<u4'),
+        np.array([o.id for o in of_landmarks], '<i4'),
+        np.array([names.index(o.observed) for o in of_robots], '<u2'),
+        np.array([o.z for o in observations], '<f8'), np.array([o.R for o in observations], '<f8')]
     return zlib.compress(b''.join(_by_byte(column) for column in columns), 9)
 
 

@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
-from fej_slam_ros.core.peers.logs import is_of, Knowledge, LogName
+from fej_slam_ros.core.peers.logs import BlockKey, is_of, Knowledge, LogName
 from fej_slam_ros.core.peers.messages import (
     BlockMessage, echo_key, ECHO_MODULUS, Hello, hellos, MessageRejectedError, MessageRejection,
     read, write)
@@ -105,7 +105,7 @@ class PeerExchange:
     peers : the other robots by name
     bytes_sent, messages_sent : by kind, hello or block
     rejected_unread : messages that could not be read, by reason
-    held_back : log, run and number of blocks that are not sent yet, set by the caller
+    held_back : blocks that are not sent yet, set by the caller
 
     """
 
@@ -115,9 +115,9 @@ class PeerExchange:
         self.bytes_sent: Counter[str] = Counter()
         self.messages_sent: Counter[str] = Counter()
         self.rejected_unread: Counter[MessageRejection] = Counter()
-        self.held_back: Collection[tuple[LogName, int, int]] = frozenset()
+        self.held_back: Collection[BlockKey] = frozenset()
         self._next_hello: int | None = None
-        self._sent_at: dict[tuple[LogName, int, int], int] = {}
+        self._sent_at: dict[BlockKey, int] = {}
         self._saved, self._last = 0.0, 0
 
     def change_peers(self, names: Iterable[str]) -> None:
@@ -272,22 +272,20 @@ class PeerExchange:
             (name, run, number): at for (name, run, number), at in self._sent_at.items()
             if now - at <= limit or (number > 0 and self.logs.logs[name].run == run)}
 
-    def _lacking(self, now: int) -> list[tuple[LogName, int, int]]:
+    def _lacking(self, now: int) -> list[BlockKey]:
         """Return the blocks that a robot in reach lacks, in the order in which they are sent."""
         lacking = {
-            (name, run, number)
-            for other in self.in_reach(now)
-            for name, run, number, heard in self._missing(
-                self.peers[other], other, self._waits(other))
-            if (sent_at := self._sent_at.get((name, run, number))) is None
+            block for other in self.in_reach(now)
+            for block, heard in self._missing(self.peers[other], other, self._waits(other))
+            if (sent_at := self._sent_at.get(block)) is None
             or heard - sent_at >= self.peers[other].wait()}
         return sorted(lacking.difference(self.held_back), key=self._priority)
 
     def _missing(
         self, peer: PeerState, name: str, waits: bool
-    ) -> Iterator[tuple[LogName, int, int, int]]:
+    ) -> Iterator[tuple[BlockKey, int]]:
         """
-        Yield log, run and number of the blocks that a robot lacks, and when it said so.
+        Yield the blocks that a robot lacks, and when it reported so [ns].
 
         Measurements are left out while they wait for rendezvous information.
 
@@ -299,7 +297,7 @@ class PeerExchange:
             if log.name.author != name and (about == name or not (about or waits)):
                 heard, known = peer.known.get(log.name, (peer.in_reach_since, None))
                 for number in log.missing(known):
-                    yield log.name, log.run, number, heard
+                    yield (log.name, log.run, number), heard
 
     def _waits(self, name: str) -> bool:
         """Return whether measurements for a robot wait for rendezvous information."""
@@ -318,8 +316,8 @@ class PeerExchange:
             sent is not None and known is not None and next(sent.missing(known), None) is None
             and LogName(name, self.logs.robot) in self.logs.logs)
 
-    def _priority(self, block: tuple[LogName, int, int]) -> tuple[bool, bool, LogName, int, int]:
-        """Rendezvous information first, then own measurements, the oldest first."""
+    def _priority(self, block: BlockKey) -> tuple[bool, bool, LogName, int, int]:
+        """Return what sorts blocks: rendezvous information, own measurements, the oldest first."""
         name, run, number = block
         return not name.about, name.author != self.logs.robot, name, run, number
 

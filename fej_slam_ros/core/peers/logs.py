@@ -32,6 +32,10 @@ class LogName(NamedTuple):
     about: str = ''
 
 
+#: Log, run and number of a block.
+BlockKey = tuple[LogName, int, int]
+
+
 def is_of(name: LogName, team: Collection[str]) -> bool:
     """Return whether a log is of a team, about measurements or another robot of it."""
     return name.author in team and name.author != name.about and name.about in {'', *team}

@@ -166,10 +166,10 @@ def _block(message: BlockMessage) -> bytes:
 
 
 def _read_hello(reader: '_MessageReader', sender: str) -> Hello:
-    run, = reader.numbers(_RUN)
-    stamp, = reader.numbers(_STAMP)
-    logs, = reader.numbers(_COUNT)
-    count, = reader.numbers(_COUNT)
+    run = reader.number(_RUN)
+    stamp = reader.number(_STAMP)
+    logs = reader.number(_COUNT)
+    count = reader.number(_COUNT)
     known = tuple(_read_knowledge(reader) for _ in range(count))
     echoes = dict(_ECHO.iter_unpack(reader.rest(_ECHO.size)))
     return Hello(sender, run, stamp, logs, known, echoes)
@@ -177,8 +177,8 @@ def _read_hello(reader: '_MessageReader', sender: str) -> Hello:
 
 def _read_knowledge(reader: '_MessageReader') -> Knowledge:
     log = reader.log_name()
-    run, = reader.numbers(_RUN)
-    count, = reader.numbers(_COUNT)
+    run = reader.number(_RUN)
+    count = reader.number(_COUNT)
     digest = reader.take(DIGEST_SIZE)
     is_ended, size = reader.take(2)
     bits = int.from_bytes(reader.take(size), 'little')
@@ -188,8 +188,8 @@ def _read_knowledge(reader: '_MessageReader') -> Knowledge:
 
 def _read_block(reader: '_MessageReader', sender: str) -> BlockMessage:
     log = reader.log_name()
-    run, = reader.numbers(_RUN)
-    number, = reader.numbers(_COUNT)
+    run = reader.number(_RUN)
+    number = reader.number(_COUNT)
     digest = reader.take(DIGEST_SIZE)
     return BlockMessage(sender, Block(log, run, number, digest, reader.rest()))
 
@@ -215,8 +215,9 @@ class _MessageReader:
             raise MessageRejectedError(MessageRejection.TRUNCATED)
         return self._frame[begin:self._at]
 
-    def numbers(self, form: struct.Struct) -> tuple[int, ...]:
-        return form.unpack(self.take(form.size))
+    def number(self, form: struct.Struct) -> int:
+        value: int = form.unpack(self.take(form.size))[0]
+        return value
 
     def text(self) -> str:
         try:

@@ -196,12 +196,12 @@ class TeamLogs:
         log = self.logs.get(block.log)
         if log is not None and block.run < log.run:
             raise MessageRejectedError(MessageRejection.OLD_RUN)
-        is_known = log is not None and block.run == log.run
+        present = log if log is not None and block.run == log.run else None
         if block.log.author == self.robot and not (
-                is_known and log is not None and log.contains(block.number)):
+                present is not None and present.contains(block.number)):
             raise MessageRejectedError(MessageRejection.SAME_NAME)
-        if log is not None and is_known:
-            return log
+        if present is not None:
+            return present
         if log is None:
             self._replace(Log(block.log, block.run))
             return self.logs[block.log]
