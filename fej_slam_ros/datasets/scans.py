@@ -14,8 +14,8 @@ def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT
     """
     Yield observations as scans, of which each observes a landmark or robot once.
 
-    Files do not tell the scans of several sensors at one stamp apart. Without any observation
-    there is one empty scan.
+    Files do not separate the scans of several sensors at one stamp. Without any observation there
+    is one empty scan.
     """
     scan: list[ObservationT] = []
     observed: set[int | str] = set()

@@ -38,7 +38,7 @@ class _Place:
 
 class StaticFilter:
     """
-    Tells landmarks from what moves.
+    Finds which points stand still, as landmarks do.
 
     Parameters
     ----------

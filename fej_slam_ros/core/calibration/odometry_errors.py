@@ -185,7 +185,7 @@ def _significant(
         hidden = np.flatnonzero(free & ~shown)
         if not len(hidden):
             return OdometryErrors(fit.x, of_all, is_known, is_at_limit, pairs)
-        # A constant turn rate does not tell a scale from a bias: it counts as a scale.
+        # At a constant turn rate, scale and bias are the same: it counts as a scale.
         k = hidden[-1]
         free[k], is_known[k] = False, known[k]
         fixed[k] = NO_ERRORS[k] if known[k] else given[k]

@@ -17,8 +17,8 @@ MAX_FAILED_SCANS = 9
 #: Share of the landmarks without ID that should be in view that a lost robot misses.
 MISSED_BY_LOST = 0.8
 
-#: Number of scans in a row that cannot tell whether a suspected robot is where it is estimated,
-#: after which it maps again. Otherwise one wrong scan before unknown ground would end its map.
+#: Number of inconclusive scans in a row of a suspected robot after which it maps again. Otherwise
+#: one wrong scan before unknown ground would end its map.
 MAX_INCONCLUSIVE = 10
 
 #: Numbers of scans and of observations without ID in a row that all fit several landmarks, after
@@ -40,7 +40,7 @@ class ScanMatchStatistics:
     missed: int = 0  #: those among them that were not observed
 
     def is_conclusive(self) -> bool:
-        """Return whether the scan can tell whether the robot is where it is estimated."""
+        """Return whether enough landmarks should be in view to check the robot's pose."""
         return self.expected >= MIN_KNOWN
 
     def mostly_failed(self) -> bool:

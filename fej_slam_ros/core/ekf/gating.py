@@ -19,8 +19,8 @@ from fej_slam_ros.core.records import AnyObservation
 #: Median of chi-square with 2 degrees of freedom, that of the squared distances of correct data.
 MEDIAN_D2 = float(chdtri(2, 0.5))
 
-#: Minimum number of known landmarks in a scan that can tell a wrong pose from a moved landmark,
-#: and of trusted ones that decide alone: a lost robot is right about the landmarks it starts.
+#: Minimum number of known landmarks by which a scan distinguishes a wrong pose from a moved
+#: landmark, and of trusted ones that decide alone: a lost robot is right about those it starts.
 MIN_KNOWN = 3
 MIN_TRUSTED = 2
 
@@ -85,7 +85,7 @@ class ScanGateStatistics:
     trusted_failed: int = 0  #: and among those that failed
 
     def add(self, robot: str, landmark: Landmark, failed: bool) -> None:
-        """Add whether a robot's observation of a landmark failed, if the landmark can tell."""
+        """Add whether an observation of a landmark failed, if that concerns the robot's pose."""
         # A landmark that another robot has just started may be wrong itself.
         if not landmark.is_trusted and landmark.owner != robot:
             return
@@ -95,7 +95,7 @@ class ScanGateStatistics:
         self.trusted_failed += failed and landmark.is_trusted
 
     def is_conclusive(self) -> bool:
-        """Return whether the scan can tell a wrong pose from a moved landmark."""
+        """Return whether the scan distinguishes a wrong pose from a moved landmark."""
         return self.known >= MIN_KNOWN
 
     def can_clear(self) -> bool:

@@ -4,8 +4,8 @@
 Alignment with another robot before any of its map arrives, section IV of [Andersson].
 
 A robot sends its observations of the other one, and the square-root information A_m of its own map
-about the poses at which either saw the other. The other robot adds its own observations and its
-own A_m, and has the pose of the first in its frame by Algorithm 1. A few poses suffice; the
+about the poses at which either observed the other. The other robot adds its own observations and
+its own A_m, and has the pose of the first in its frame by Algorithm 1. A few poses suffice; the
 message has a few kB however large the map is.
 """
 
@@ -67,7 +67,7 @@ class RendezvousResult:
     message: bytes  #: information for the other robot, empty if there is no observation yet
     #: pose of the other robot's map in that of this one, or why there is none
     alignment: Alignment | JoinFailure
-    stamp: int  #: newest time at which either saw the other [ns]
+    stamp: int  #: newest time at which either observed the other [ns]
     pose: Array | None  #: (3,) pose of the other robot then, in the map of this one
 
 
@@ -94,13 +94,13 @@ def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
         theirs = read(task.received, task.peer, robot.name)
     except BadBlockError:
         theirs = None
-    seen_at = {scan.stamp for scan in own} | {
+    observed_at = {scan.stamp for scan in own} | {
         scan.stamp for scan in (() if theirs is None else theirs.scans)}
-    if not seen_at:
+    if not observed_at:
         return None
     try:
-        local, index = _local_map(task.settings, measurements, seen_at)
-        stamps = sorted(seen_at & index.keys())
+        local, index = _local_map(task.settings, measurements, observed_at)
+        stamps = sorted(observed_at & index.keys())
         if not stamps:
             return None
         information = local.rendezvous_information(np.array([index[t] for t in stamps], np.intp))
@@ -205,17 +205,17 @@ def _aligned(own: WindowInformation, theirs: WindowInformation) -> Alignment | J
     """Return the pose of the map of the other robot in that of this one."""
     row = {stamp: k for k, stamp in enumerate(own.stamps)}
     their_row = {stamp: k for k, stamp in enumerate(theirs.stamps)}
-    seen = sorted(
+    observed = sorted(
         ((scan.stamp, by_own, o) for scans, by_own in ((own.scans, True), (theirs.scans, False))
          for scan in scans if scan.stamp in row and scan.stamp in their_row
          for o in scan.observations), key=lambda entry: entry[:2])
-    if not seen:
+    if not observed:
         return JoinFailure('neither robot has a pose at an observation of the other')
     observations = RendezvousObservations(
-        np.array([row[t] for t, _, _ in seen], np.intp),
-        np.array([their_row[t] for t, _, _ in seen], np.intp),
-        np.array([by_own for _, by_own, _ in seen], np.bool_),
-        np.array([o.z for _, _, o in seen]), np.array([o.R for _, _, o in seen]))
+        np.array([row[t] for t, _, _ in observed], np.intp),
+        np.array([their_row[t] for t, _, _ in observed], np.intp),
+        np.array([by_own for _, by_own, _ in observed], np.bool_),
+        np.array([o.z for _, _, o in observed]), np.array([o.R for _, _, o in observed]))
     alignment = align(own.information, theirs.information, observations)
     if isinstance(alignment, JoinFailure):
         return alignment

@@ -119,7 +119,7 @@ def _recorded(
 
 
 def _logs(recorded: Sequence[RobotLog]) -> list[RobotLog]:
-    """Return logs in the order of stamps; clocks that were set last, which others may tell."""
+    """Return logs in the order of stamps; set clocks come last, as others may correct them."""
     ordered: dict[int, ClockPart] = {}
     by_doubt = sorted(
         recorded, key=lambda log: (bool(breaks(log.commands.stamps)), -len(log.truth)))

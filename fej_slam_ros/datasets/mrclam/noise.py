@@ -168,7 +168,7 @@ def _growth(
     """
     Return c >= 0 so that squared errors are commanded @ c + standstill noise in the mean.
 
-    Few windows do not tell driving from turning, so the ratio is drawn to that of `usual`.
+    Few windows do not separate driving from turning, so the ratio is drawn to that of `usual`.
 
     """
     squares = np.square(windows.errors()[:, axis])

@@ -87,7 +87,7 @@ def check(
 def _conditions(
     robot: str, lasers: DetectorSession, needs_transform: bool
 ) -> Iterator[Finding]:
-    """Yield what the detector would tell of the scans of a robot."""
+    """Yield the conditions of the scans of a robot, which the detector would report."""
     reported = CORRUPTING_CONDITIONS | DOUBTFUL_CONDITIONS
     if needs_transform:
         reported.add(FRAME_CONDITION)

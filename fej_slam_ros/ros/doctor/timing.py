@@ -36,7 +36,7 @@ SLOW_SCANS = 3.0
 SLOWER_THAN_SCANS = 1.5
 #: Maximum number of steps back whose cause is looked for: two publishers on a topic make more.
 MAX_STEPS_BACK = 100
-#: Causes and cures of stamps that step back. Only odometry is regular enough to tell them apart.
+#: Causes and cures of stamps that step back, which only regular odometry distinguishes.
 REPEATED_TIME = (
     ', to a time that was recorded before: its clock was set back, or recordings were joined',
     'synchronise the clock before recording; correct the stamps, or replay each part on its own')

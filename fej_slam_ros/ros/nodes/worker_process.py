@@ -200,7 +200,7 @@ class Worker:
         return FailedTask(reason, argument)
 
     def _replace(self, death: str, what_follows: str = 'another one repeats the task') -> None:
-        """Start another process; `death` tells how this one ended."""
+        """Start another process; `death` is how this one ended, in words."""
         self.close()
         self.deaths += 1
         self._unsuccessful += 1

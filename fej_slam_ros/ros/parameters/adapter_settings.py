@@ -129,7 +129,7 @@ def adapter_values(settings: AdapterSettings) -> dict[str, Value]:
             f'{robot}.{field.name}': getattr(robot_settings, field.name)
             for field in fields(robot_settings)}
     known = known_parameters(settings.robots)
-    # ROS cannot tell the type of an empty list.
+    # An empty list has no type in ROS.
     return {
         name: known[name].kind.write(value) for name, value in values.items()
         if value is not None and value != ()}

@@ -62,7 +62,7 @@ def known_parameters(
 
 def as_parameters(settings: RunSettings) -> dict[str, Value]:
     """Return the settings as flat ROS parameters, without those that are not set."""
-    # ROS cannot tell the type of an empty list.
+    # An empty list has no type in ROS.
     node = {
         **vars(settings.node), 'relative_poses': settings.node.relative_poses or None,
         'peers': settings.node.peers or None}

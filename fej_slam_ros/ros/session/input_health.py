@@ -31,7 +31,7 @@ RATE_WINDOW = 5 * NS
 #: Minimum number of observations by which the rate of gated ones is judged; a scan or two that
 #: fail are no condition.
 MIN_GATE_SAMPLE = 10
-#: Observations older than this [ns] no longer tell the present state.
+#: Observations older than this [ns] do not count any more.
 OBSERVATION_WINDOW = 30 * NS
 #: Minimum number of messages, and minimum time [ns], for which all must be rejected: one bad
 #: message is no fault, and two reports are a second apart.
@@ -161,12 +161,12 @@ class RobotHealth:
         self.unused_reasons: Counter[RejectionReason] = Counter()
         self._gate: deque[GateCounts] = deque()
         self._sampled_at: int | None = None
-        self._seen = self._used = 0
+        self._observed = self._used = 0
         self._reasons: Counter[RejectionReason] = Counter()
         self._recent: deque[tuple[int, Counter[RejectionReason]]] = deque()
 
     def sample(
-        self, now: int, seen: int, used: int, reasons: Counter[RejectionReason]
+        self, now: int, observed: int, used: int, reasons: Counter[RejectionReason]
     ) -> None:
         """Add the total numbers of received and used observations and rejections at a time."""
         if self._sampled_at is not None and now < self._sampled_at:
@@ -180,16 +180,16 @@ class RobotHealth:
         if new.used > 0:
             self.unused_since, self.unused_observations = None, 0
             self.unused_reasons.clear()
-        elif seen > self._seen:
+        elif observed > self._observed:
             if self.unused_since is None:
                 self.unused_since = now if self._sampled_at is None else self._sampled_at
-            self.unused_observations += seen - self._seen
+            self.unused_observations += observed - self._observed
             self.unused_reasons += rejected
         self._keep(new)
         self._recent.append((now, rejected))
         while now - self._recent[0][0] > RATE_WINDOW:
             self._recent.popleft()
-        self._sampled_at, self._seen, self._used = now, seen, used
+        self._sampled_at, self._observed, self._used = now, observed, used
         self._reasons = reasons.copy()
 
     def recently_rejected(self) -> Counter[RejectionReason]:

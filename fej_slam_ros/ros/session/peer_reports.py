@@ -130,7 +130,7 @@ class PeerLog(SmootherLog):
                         f'a message of {sender} is rejected: {EXPLANATIONS[reason]}'))
 
     def add_rendezvous(self, peer: str, result: RendezvousResult) -> None:
-        """Add a line when the first rendezvous tells where another robot is."""
+        """Add a line when a rendezvous first aligns the map of another robot."""
         if peer not in self._aligned and not isinstance(result.alignment, JoinFailure):
             self._aligned.add(peer)
             self.add(LogSeverity.INFO, (

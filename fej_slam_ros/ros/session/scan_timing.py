@@ -13,14 +13,14 @@ from fej_slam_ros.detection.laser_scan import LaserScan
 #: Number of times between scans, or delays, whose median is used, and the smallest number that is
 #: sufficient.
 MAX_INTERVALS, MIN_INTERVALS = 50, 10
-#: Smallest share of a turn that tells a laser that turns from a camera, whose beams are measured
-#: at once.
+#: Smallest share of a turn that a turning laser covers; a camera, whose beams are measured at
+#: once, covers less.
 MIN_SHARE = 0.5
 #: Ratios of the stated to the expected duration beyond which it is wrong: with half of the scans
 #: lost it is 0.5, while drivers that are known to be wrong are so by factors of 3 to 20.
 MIN_RATIO, MAX_RATIO = 0.4, 2.0
-#: Shortest duration of a scan [ns] of which the delay tells when it began, and share of it by
-#: which a scan must arrive after odometry of the same stamp: it is sent when it is complete.
+#: Shortest duration of a scan [ns] whose delay shows when it began, and share of it by which a
+#: scan must arrive after odometry of the same stamp: it is sent when it is complete.
 MIN_DURATION, MIN_DELAY_SHARE = NS // 50, 0.3
 
 
