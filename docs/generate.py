@@ -26,11 +26,11 @@ from fej_slam_ros.ros.parameters import (
 from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_outputs import relative_topic
-from fej_slam_ros.ros.session.frames import STATIC_TF
+from fej_slam_ros.ros.session.frames import STATIC_TF, TF
 from fej_slam_ros.ros.session.inputs import (
     CLOUD, INITIALPOSE, ROBOT_TOPICS, TF_TYPE, TRUE_LANDMARKS)
 from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
-from fej_slam_ros.ros.session.outputs import ROBOT_TYPES, TF_TOPIC, TYPES
+from fej_slam_ros.ros.session.outputs import ROBOT_TYPES, TYPES
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE
 from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
 
@@ -86,12 +86,12 @@ OUTPUT_MEANINGS = {
                     ' threshold; `seen` is the observed robot',
     '/diagnostics': 'once a second, per robot and for the whole, see'
                     ' [diagnostics](diagnostics.md)',
-    TF_TOPIC:
+    f'/{TF}':
         '`map` (or `<robot>/map`) to the odometry frame of the robot, with each predicted pose and'
         ' stamped `transform_tolerance` later; `replay --bag` writes it after each step. Of the'
         ' smoother with each pose, if `publish_smoothed_tf` is true. Needs `tf2_msgs`. See'
         ' [frames and transforms](ros.md#frames-and-transforms)',
-    'tf': 'the transform of one robot, instead of or beside `/tf` as `tf_topics` says',
+    TF: 'the transform of one robot, instead of or beside `/tf` as `tf_topics` says',
 }
 SERVICE_MEANINGS = {
     '~/reset': 'ends the run and begins a new one; with `output` set, its files go to'
@@ -399,7 +399,7 @@ def _output_rows() -> Iterator[Sequence[str]]:
     pair = relative_topic(ROBOT_NAME, '<other>')
     of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_TYPES.items()}
     of_estimator |= {f'{ROBOT_NAME}/{kind}': name for kind, name in PREDICTED_TYPES.items()}
-    transforms = dict.fromkeys((TF_TOPIC, f'{ROBOT_NAME}/tf'), TF_TYPE)
+    transforms = dict.fromkeys((f'/{TF}', f'{ROBOT_NAME}/{TF}'), TF_TYPE)
     of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, **transforms}
     of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in SMOOTHED_ROBOT_TYPES.items()}
     of_smoother |= {**TEAM_TYPES, **transforms}

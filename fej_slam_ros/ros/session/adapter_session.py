@@ -20,6 +20,7 @@ from fej_slam_ros.ros.messages.common import from_time, MAX_SECONDS
 from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
+from fej_slam_ros.ros.session.frames import transform_topics
 from fej_slam_ros.ros.session.front_end import LANDMARK_IDS, RobotCounts
 from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.landmark_ids import LandmarkIds, number_of
@@ -148,11 +149,13 @@ class AdapterSession:
 
     def _topics(self, format_name: str) -> Iterator[str]:
         """Yield the topics of a format: transforms are on those of TF, as parameters say."""
-        added, tf_topics = FORMATS[format_name], self._settings.tf_topics
-        if added.type_name != TF_TYPE or tf_topics != 'shared':
-            yield from (f'{name}/{added.topic}' for name in self.robots)
-        if added.type_name == TF_TYPE and tf_topics != 'robot':
-            yield added.topic
+        added = FORMATS[format_name]
+        for name in self.robots:
+            if added.type_name == TF_TYPE:
+                of_robot = transform_topics(self._settings.tf_topics, name, added.topic)
+                yield from (topic.lstrip('/') for topic in of_robot)
+            else:
+                yield f'{name}/{added.topic}'
 
     def _receive_odometry(self, name: str, arrived: RawMessage) -> None:
         """Record the base frame of a robot, which is all that is used of its odometry."""

@@ -13,10 +13,25 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import NodeSettings
 
-#: Last part of the names of topics with static transforms.
-STATIC_TF = 'tf_static'
+#: Last part of the names of topics with transforms, and with static ones.
+TF, STATIC_TF = 'tf', 'tf_static'
 #: Maximum number of child frames of odometry stored per robot; normally there is one.
 MAX_CHILD_FRAMES = 10
+
+
+def transform_topics(tf_topics: str, robot: str, kind: str) -> list[str]:
+    """
+    Return the topics with transforms of a robot, its own first.
+
+    Parameters
+    ----------
+    tf_topics : value of the parameter of this name
+    robot : its name
+    kind : last part of the names, `TF` or `STATIC_TF`
+
+    """
+    own, shared = f'{robot}/{kind}', f'/{kind}'
+    return {'robot': [own], 'shared': [shared], 'both': [own, shared]}[tf_topics]
 
 
 class Team(Protocol):
@@ -54,8 +69,7 @@ class FrameNames:
 
     def static_topics(self, robot: str) -> list[str]:
         """Return the topics of the static transforms of a robot, its own first."""
-        own = [] if self._tf_topics == 'shared' else [f'{robot}/{STATIC_TF}']
-        return own if self._tf_topics == 'robot' else [*own, f'/{STATIC_TF}']
+        return transform_topics(self._tf_topics, robot, STATIC_TF)
 
     def add(self, robot: str, odometry: Message) -> None:
         """Record the frames of an odometry message."""

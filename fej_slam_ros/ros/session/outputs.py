@@ -18,6 +18,7 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey, NS
 from fej_slam_ros.ros.messages import markers, Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.session.frames import TF, transform_topics
 from fej_slam_ros.ros.session.inputs import CLOUD, Inputs, POSE_WITH_COVARIANCE, TF_TYPE
 
 #: Maximum number of poses of a published path, which limits its message to 100 kB; beyond it every
@@ -32,7 +33,6 @@ MARKERS_TOPIC = '~/markers'
 JOINT_COVARIANCE_TOPIC = '~/joint_covariance'
 REJECTIONS_TOPIC = '~/rejections'
 DIAGNOSTICS_TOPIC = '/diagnostics'
-TF_TOPIC = '/tf'
 
 TYPES = {
     LANDMARKS_TOPIC: CLOUD,
@@ -92,7 +92,7 @@ class Outputs(ABC, Generic[ConsumerT]):
         self._consumer = consumer
         self._frames = inputs.frames
         self.settings = settings
-        self._tf_topics = settings.tf_topics if publishes_tf else ''
+        self._publishes_tf = publishes_tf
         # Frames of which a map was published.
         self._mapped: set[str] = set()
 
@@ -168,11 +168,11 @@ class Outputs(ABC, Generic[ConsumerT]):
             if is_wanted(topic):
                 yield topic, outgoing.transforms(of_topic, odometry, frames, post_date)
 
-    def _tf_of(self, robot: str) -> Sequence[str]:
+    def _tf_of(self, robot: str) -> list[str]:
         """Return the topics of the transform of a robot."""
-        own = f'{robot}/tf'
-        topics = {'shared': (TF_TOPIC,), 'robot': (own,), 'both': (TF_TOPIC, own)}
-        return topics.get(self._tf_topics, ())
+        if not self._publishes_tf:
+            return []
+        return transform_topics(self.settings.tf_topics, robot, TF)
 
     def _post_date(self) -> int:
         """Return the duration [ns] by which the transforms of a live run are post-dated."""
