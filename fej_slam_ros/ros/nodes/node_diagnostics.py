@@ -9,7 +9,8 @@ from rclpy.node import Node
 
 from fej_slam_ros.ros.nodes.node_files import NodeFiles
 from fej_slam_ros.ros.nodes.topics import NodeTopics
-from fej_slam_ros.ros.session.diagnostics import also_published, Diagnostics, NO_CLOCK
+from fej_slam_ros.ros.session.diagnostics import (
+    also_published, Diagnostics, NO_CLOCK, NodeConditions)
 
 #: Time of the machine [s] for which simulated time may stand still.
 CLOCK_PATIENCE = 5.0
@@ -36,20 +37,16 @@ class NodeDiagnostics:
 
     def publish(self, diagnostics: Diagnostics[Any], now: int | None, at_rest: bool) -> None:
         """Publish a report at a time [ns]; it is None while simulated time has not begun."""
-        self._check_topics(diagnostics)
-        diagnostics.file_errors = self._files.check()
-        diagnostics.clock_fault = self._clock_fault(now)
-        self._topics.publish([diagnostics.report(now or 0, at_rest)])
-
-    def _check_topics(self, diagnostics: Diagnostics[Any]) -> None:
         incompatible, others = self._topics.incompatible(), self._topics.other_publishers()
         for endpoint in incompatible:
-            if endpoint not in diagnostics.incompatible:
+            if endpoint not in diagnostics.conditions.incompatible:
                 self._log.error(str(endpoint))
-        for robot in others.keys() - diagnostics.other_publishers.keys():
+        for robot in others.keys() - diagnostics.conditions.other_publishers.keys():
             self._log.warning(f'{robot}: {also_published(others[robot])}')
-        diagnostics.incompatible, diagnostics.other_publishers = incompatible, others
-        diagnostics.publishers = self._topics.publishers(incompatible)
+        diagnostics.conditions = NodeConditions(
+            incompatible, self._topics.publishers(incompatible), others, self._files.check(),
+            self._clock_fault(now))
+        self._topics.publish([diagnostics.report(now or 0, at_rest)])
 
     def _clock_fault(self, now: int | None) -> str:
         """Return why simulated time does not advance, '' if it does; None is before the first."""

@@ -5,7 +5,7 @@
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Generic
 
 import numpy as np
@@ -58,6 +58,20 @@ def also_published(nodes: str) -> str:
     return f'its pose is also published by {nodes}: stop one of the nodes, or remap its topics'
 
 
+@dataclass(frozen=True)
+class NodeConditions:
+    """Conditions of the topics, files and clock of a node; a run over a bag has none."""
+
+    incompatible: Sequence[IncompatibleQos] = ()  #: topics with incompatible quality of service
+    #: publishers on the input topics, by relative name
+    publishers: Mapping[str, TopicPublishers] = field(default_factory=dict)
+    #: other nodes that publish the pose of a robot, by robot
+    other_publishers: Mapping[str, str] = field(default_factory=dict)
+    #: why files are not complete or up to date, by parameter
+    file_errors: Mapping[str, str] = field(default_factory=dict)
+    clock_fault: str = ''  #: why simulated time does not advance, '' if it does
+
+
 class Diagnostics(ABC, Generic[ConsumerT]):
     """
     Reports on an estimator or a smoother and its inputs.
@@ -74,11 +88,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     step_times : durations [s] of the steps since the last report, added by the caller
     latencies : delays [s] of the poses published since, from stamp to publication, likewise
     callback_times : durations [s] of the callbacks since, which block all others, likewise
-    incompatible : topics with incompatible quality of service, set by the caller
-    clock_fault : why simulated time does not advance, '' if it does, set by the caller
-    file_errors : why files are not complete or up to date, by parameter, likewise
-    publishers : publishers on the input topics, by relative name, set by the caller
-    other_publishers : other nodes that publish the pose of a robot, by robot, set by the caller
+    conditions : of the node, set by the caller
     node_name : name of the node with its namespace, with which the names of statuses begin
 
     """
@@ -94,11 +104,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         self.step_times: deque[float] = deque(maxlen=MAX_TIMES)
         self.latencies: deque[float] = deque(maxlen=MAX_TIMES)
         self.callback_times: deque[float] = deque(maxlen=MAX_TIMES)
-        self.incompatible: Sequence[IncompatibleQos] = ()
-        self.clock_fault = ''
-        self.file_errors: Mapping[str, str] = {}
-        self.publishers: Mapping[str, TopicPublishers] = {}
-        self.other_publishers: Mapping[str, str] = {}
+        self.conditions = NodeConditions()
 
     def report(self, now: int, at_rest: bool) -> Publication:
         """
@@ -110,13 +116,14 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         takes too long to compute at other times.
 
         """
+        incompatible, file_errors = self.conditions.incompatible, self.conditions.file_errors
         elapsed = 0.0 if not self._reported_at else (now - self._reported_at) * 1e-9
         if now:
             self._inputs.health.sample(now)
         statuses = [
             *self._robots(now, elapsed),
-            self._of_errors('qos', [*map(str, self.incompatible)], 'compatible', {}),
-            self._of_errors('files', self.file_errors.values(), 'no error', self.file_errors),
+            self._of_errors('qos', [*map(str, incompatible)], 'compatible', {}),
+            self._of_errors('files', file_errors.values(), 'no error', file_errors),
             self._overall(now, at_rest)]
         self._reported_at = now
         self._received = self._consumer.statistics.received.copy()
@@ -128,7 +135,8 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     def _input_of(self, robot: str, now: int) -> RobotInput:
         """Return the input of a robot at a time [ns]."""
         return RobotInput(
-            robot, now, self._inputs.health, self._needs_observations(robot), self.publishers)
+            robot, now, self._inputs.health, self._needs_observations(robot),
+            self.conditions.publishers)
 
     def input_faults(self, now: int) -> dict[str, str]:
         """Return the conditions of the input of each robot at a time [ns]."""
@@ -182,8 +190,9 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """Add the conditions of the input of a robot to level and message of its estimate."""
         found = faults(self._input_of(robot, now))
         found += [Fault(Level.WARN, fault) for fault in self._inputs.frames.faults(robot)]
-        if robot in self.other_publishers:
-            found.append(Fault(Level.WARN, also_published(self.other_publishers[robot])))
+        others = self.conditions.other_publishers.get(robot)
+        if others is not None:
+            found.append(Fault(Level.WARN, also_published(others)))
         found += self._clock_faults(robot)
         return (
             max([level, *(fault.level for fault in found)]),
@@ -217,7 +226,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """Return a status with warnings, and with an error once time has jumped back."""
         no_input = self._no_input(now)
         messages = [
-            *filter(None, [self.clock_fault]), *warnings,
+            *filter(None, [self.conditions.clock_fault]), *warnings,
             *([no_input.message] if no_input else [])]
         if self._consumer.statistics.depends_on_arrival():
             messages.append('the result depended on the order of arrival')

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.files.run_summary import estimator_summary
+from fej_slam_ros.ros.session.diagnostics import NodeConditions
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
@@ -89,10 +90,10 @@ def test_missing_observations_are_a_fault_of_robots_that_need_them_to_get_into_m
         records += [scan(observer, ms, [(1, (5.0, 1.0))]) for ms in range(0, 10_000, 100)]
     run = EstimatorSession(run_settings(), None)
     drive(run, [raw_record(record) for record in sorted(records, key=lambda r: r.stamp)])
-    run.diagnostics.publishers = {
+    run.diagnostics.conditions = NodeConditions(publishers={
         f'{robot}/{kind}': TopicPublishers(f'/{robot}/{kind}', types)
         for robot in ('r1', 'r2')
-        for kind, types in (('odom', (ODOMETRY,)), ('landmarks', ()), ('robots', ()))}
+        for kind, types in (('odom', (ODOMETRY,)), ('landmarks', ()), ('robots', ()))})
 
     faults = run.diagnostics.input_faults(10_000 * MS)
 
@@ -295,7 +296,8 @@ def test_observations_without_ids_are_counted_by_outcome():
 
 def test_files_that_cannot_be_written_are_an_error_with_its_reason():
     run = EstimatorSession(run_settings(), None)
-    run.diagnostics.file_errors = {'checkpoint': 'cannot write it: No space left on device'}
+    run.diagnostics.conditions = NodeConditions(
+        file_errors={'checkpoint': 'cannot write it: No space left on device'})
 
     run.receive(raw_record(odometry('r1', 0)))
     level, message, _ = statuses(run.diagnostics, 0)['files']
