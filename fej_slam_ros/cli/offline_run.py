@@ -149,10 +149,7 @@ def process(
         summary = session.write_files()
     yield session, summary
     for folder in used:
-        # That of an earlier run would not fit the other files.
-        (folder / PICTURE).unlink(missing_ok=True)
-        if arguments.picture:
-            _draw(folder)
+        _renew_picture(folder, arguments.picture)
 
 
 def _check(arguments: argparse.Namespace, output_bag: Path) -> None:
@@ -163,8 +160,11 @@ def _check(arguments: argparse.Namespace, output_bag: Path) -> None:
         raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
 
 
-def _draw(folder: Path) -> None:
-    """Draw the estimates in ``map`` that a folder of results has."""
+def _renew_picture(folder: Path, is_wanted: bool) -> None:
+    """Delete the picture of an earlier run, and draw the estimates in ``map`` if it is wanted."""
+    (folder / PICTURE).unlink(missing_ok=True)
+    if not is_wanted:
+        return
     result = run_results.read_folder(folder)
     in_map = [name for name, trajectory in result.trajectories.items() if trajectory.frame == MAP]
     write_figure(
