@@ -4,6 +4,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from itertools import count
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from threading import Event, Thread
@@ -177,6 +178,20 @@ class NodeFiles:
         for error in errors.values():
             self._log.error(f'files are not complete: {error}')
         return not errors
+
+
+def next_folder(output: str) -> str:
+    """Return a new folder for the files of a further run with an output, '' for no files."""
+    folders = (f'{output}_{number}' for number in count(2))
+    return output and next(filter(_is_free, folders))
+
+
+def _is_free(folder: str) -> bool:
+    try:
+        return not Path(folder).exists()
+    except OSError:
+        # The reason is reported where its files are opened.
+        return True
 
 
 def _made_in_time(make: Callable[[], LiveFiles], folder: Path) -> LiveFiles:

@@ -10,7 +10,6 @@ until the end: add all messages that have arrived, then process the steps that a
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import replace
-from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -29,7 +28,7 @@ from fej_slam_ros.ros.nodes.endpoints import check_topic_names, end_service, is_
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.map_publisher import MapPublisher
 from fej_slam_ros.ros.nodes.node_diagnostics import NodeDiagnostics
-from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
+from fej_slam_ros.ros.nodes.node_files import next_folder, NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.ros_process import Stop
 from fej_slam_ros.ros.nodes.run_saver import RunSaver
@@ -267,7 +266,7 @@ class SessionNode(SettingsNode):
         output = self._session.settings.node.output
         if self._files.finish() and output:
             self.get_logger().info(f'files are in {output}')
-        self._next_settings = self._session.next_settings(self._next_output())
+        self._next_settings = self._next_run(self._session)
         self._settings = replace(self._settings, estimation=self._next_settings.estimation)
 
     def _restart(self) -> str:
@@ -280,19 +279,17 @@ class SessionNode(SettingsNode):
         self.write_log()
         ended.write_files()
         self._files.end(REQUEST_WAIT)
-        self._start_session(ended.next_settings(self._next_output()))
+        self._start_session(self._next_run(ended))
         self._session.inputs.start_check = StartCheck()
         self._session.continue_from(ended)
         return self._files.check().get('output', '')
 
+    def _next_run(self, ended: Session) -> RunSettings:
+        """Return the settings of the run that follows another, with a folder of its own."""
+        return ended.next_settings(next_folder(self._settings.node.output))
+
     def _discard_files(self) -> None:
         self._session.discard_files()
-
-    def _next_output(self) -> str:
-        """Return a new folder for the files of the next run, '' for no files."""
-        output = self._settings.node.output
-        folders = (f'{output}_{number}' for number in count(2))
-        return output and next(filter(_is_free, folders))
 
     def _match_topics(self) -> None:
         """Create the outputs and, if active, the inputs of the present team; destroy others."""
@@ -363,11 +360,3 @@ class SessionNode(SettingsNode):
         """Return ROS time [ns], None while simulated time has not begun."""
         self.take_clock()
         return self.get_clock().now().nanoseconds or None
-
-
-def _is_free(folder: str) -> bool:
-    try:
-        return not Path(folder).exists()
-    except OSError:
-        # The reason is reported where its files are opened.
-        return True
