@@ -154,12 +154,13 @@ class LandmarkManager:
         expected = [f for f, is_sure in zip(landmarks, is_expected) if is_sure]
         missed = _count_missed(expected, result)
         view.add_expected(len(expected), missed)
+        statistics = _statistics(result, with_ids)
+        if view.is_reliable():
+            statistics = replace(statistics, expected=len(expected), missed=missed)
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return AssociatedScan(
             replace(scan, observations=with_ids), replace(scan, observations=(*matched, *new)),
-            _statistics(result, with_ids, *(
-                (len(expected), missed) if view.is_reliable() else (0, 0))),
-            doubtful, result.candidates)
+            statistics, doubtful, result.candidates)
 
     def update_tentative(self, filter_: Filter, scan: AssociatedScan) -> None:
         """Confirm, delete and merge landmarks by a scan that the filter has been updated with."""
@@ -244,11 +245,10 @@ def _count_missed(expected: Sequence[Landmark], result: MatchingResult) -> int:
 
 
 def _statistics(
-    result: MatchingResult, with_ids: Sequence[Observation], expected: int, missed: int
+    result: MatchingResult, with_ids: Sequence[Observation]
 ) -> ScanMatchStatistics:
-    """Return how well a scan fits the map, given how many landmarks it should have observed."""
+    """Return how well the observations of a scan fit the map."""
     matched = result.landmarks.values()
     tentative = sum(landmark.tentative is not None for landmark in matched)
     return ScanMatchStatistics(
-        len(matched) + len(with_ids), len(result.doubtful), len(result.new) + tentative, expected,
-        missed)
+        len(matched) + len(with_ids), len(result.doubtful), len(result.new) + tentative)

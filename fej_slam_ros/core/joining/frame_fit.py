@@ -13,6 +13,7 @@ from operator import itemgetter
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
+from scipy.special import chdtri
 
 from fej_slam_ros.core.ekf.covariance import joint_indices
 from fej_slam_ros.core.ekf.state import (
@@ -97,6 +98,14 @@ class FrameFit:
     r: Array  #: (k,) array, residuals
     S_factor: tuple[Array, bool]  #: Cholesky factor of their covariance, as of `cho_factor`
     D: Array  #: (k, 3) array, Jacobian of the conditions with respect to g
+
+    def limit(self, tail: float) -> float:
+        """Return the chi2 that correct variables exceed with a probability."""
+        return float(chdtri(self.dof, tail))
+
+    def is_consistent(self, tail: float) -> bool:
+        """Return whether chi2 is within its limit, as it always is without degrees of freedom."""
+        return self.dof == 0 or self.chi2 <= self.limit(tail)
 
     def heading_sigma(self) -> float:
         """Return the standard deviation of the heading of g [rad]."""

@@ -17,7 +17,6 @@ from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
-from scipy.special import chdtri
 
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
@@ -101,7 +100,7 @@ class MapJoiner:
         _, theirs = shared_variables(team.state, group.state)
         local = _from_first_robot(group, theirs)
         left_out: list[LandmarkKey] = []
-        while (found := fit(team.state, local, left_out)).chi2 > chdtri(found.dof, self._tail):
+        while not (found := fit(team.state, local, left_out)).is_consistent(self._tail):
             if len(left_out) == most:
                 return []
             left_out.append(found.worst_landmark())
@@ -112,8 +111,7 @@ class MapJoiner:
         count: int,
     ) -> JoinFailure | None:
         """Return why the fit of a number of shared variables, in words, joins no frames."""
-        limit = float(chdtri(found.dof, self._tail))
-        if found.chi2 > limit:
+        if not found.is_consistent(self._tail):
             outlying = outlying_landmarks(team.state, local, self._tail)
             if outlying and count - len(outlying) >= self._min_landmarks:
                 return JoinFailure(
@@ -123,8 +121,8 @@ class MapJoiner:
             # The remaining ones must determine g.
             is_outlier = drop > OUTLIER_D2 and count > self._min_landmarks
             return JoinFailure(
-                f'{shared} do not fit: chi-square {found.chi2:.1f}, limit {limit:.1f}',
-                outlier=worst if is_outlier else None, d2=drop)
+                f'{shared} do not fit: chi-square {found.chi2:.1f}, limit'
+                f' {found.limit(self._tail):.1f}', outlier=worst if is_outlier else None, d2=drop)
         sigma = found.heading_sigma()
         if sigma > self._max_heading_sigma:
             # The uncertainty of the global heading of the team is irrelevant.
@@ -177,8 +175,7 @@ class MapJoiner:
     def _accepted(self, team: JointState, group: JointState) -> FrameFit | None:
         """Return the fit of a group if it passes the chi-square test."""
         found = fit(team, group)
-        accepted = found.dof == 0 or found.chi2 <= float(chdtri(found.dof, self._tail))
-        return found if accepted else None
+        return found if found.is_consistent(self._tail) else None
 
 
 def _from_first_robot(filter_: Filter, variables: Variables) -> JointState:

@@ -67,7 +67,7 @@ def _contradicting(
     if not candidates or not determine_heading(team, group, candidates):
         return ()
     found = fit(team, group, candidates)
-    if found.chi2 > chdtri(found.dof, tail):
+    if not found.is_consistent(tail):
         return ()
     return tuple(
         key for key, d2 in zip(keys, _increases_of_chi2(found, team, group, keys))
