@@ -155,7 +155,7 @@ class PoseEvaluation:
         return self._scores
 
     def add(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
-        """Add an estimate; many are scored at once, which takes a fraction of the time."""
+        """Add a pose (3,) and its P (3, 3); many are scored at once, in a fraction of the time."""
         waiting = self._waiting.setdefault(robot, deque(maxlen=MAX_UNSCORED))
         waiting.append((stamp, pose, P))
         if len(waiting) >= SCORED_TOGETHER:

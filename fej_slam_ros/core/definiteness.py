@@ -14,7 +14,7 @@ MIN_CORRELATION_EIGENVALUE = 1e-12
 
 
 def is_definite(P: Array) -> bool:
-    """Return whether P is positive definite beyond rounding, independent of its units."""
+    """Return whether P (d, d) is positive definite beyond rounding, independent of its units."""
     if np.count_nonzero(P) == len(P):
         # If there are no zeros on the diagonal, all others are zero: usual in odometry.
         return all(0.0 < variance < math.inf for variance in P.diagonal().tolist())

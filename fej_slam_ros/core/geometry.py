@@ -74,7 +74,7 @@ def symmetric(upper: Sequence[float] | Array) -> Array:
 
 
 def ellipse(P: Array) -> tuple[float, float, float]:
-    """Return the semi-major and semi-minor axis and the angle [rad] of P's 1-sigma ellipse."""
+    """Return semi-major and semi-minor axis and angle [rad] of the 1-sigma ellipse of P (2, 2)."""
     variances, axes = np.linalg.eigh(P)
     # An eigenvalue 0 of an exactly known position may be rounded to below zero.
     minor, major = np.sqrt(np.maximum(variances, 0.0)).tolist()
@@ -117,7 +117,7 @@ def interpolated_all(a: Array, b: Array, fractions: Array) -> Array:
 
 
 def transform(pose: Array, points: Array) -> Array:
-    """Return points (..., 2) of the frame of a pose in its parent frame."""
+    """Return points (..., 2) of the frame of a pose (3,) in its parent frame."""
     moved: Array = points @ rotation(pose[2]).T + pose[:2]
     return moved
 

@@ -54,7 +54,7 @@ class RendezvousInformation:
 
     @property
     def free(self) -> Indices:
-        """Return the coordinates of the columns of R_sqrt."""
+        """Return the coordinates (3 k - 3,) of the columns of R_sqrt."""
         return np.flatnonzero(np.repeat(np.arange(len(self.poses)) != self.middle, 3))
 
     def in_map(self, row: int) -> Array:
@@ -195,7 +195,7 @@ class _Algorithm1:
         self._weights = 2.0 / np.trace(observations.R, axis1=1, axis2=2)
 
     def starts(self) -> Iterator[Array]:
-        """Yield starts of the base node from windows of doubling length around the middle."""
+        """Yield starts of the base node, (3,), by windows of doubling length around the middle."""
         count, length = len(self._weights), FIRST_WINDOW
         while True:
             window = central(count, length)

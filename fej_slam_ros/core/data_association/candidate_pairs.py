@@ -121,7 +121,7 @@ class CandidatePairs:
         return given if near.all() else given.subset(np.flatnonzero(near))
 
     def subset(self, which: Indices) -> 'CandidatePairs':
-        """Return some of the pairs, in the order given."""
+        """Return some of the pairs, by their indices (k,), in the order given."""
         rows = np.append(which, which + len(self))
         return CandidatePairs(
             self.observation[which], self.landmark[which], self.log_odds[which],

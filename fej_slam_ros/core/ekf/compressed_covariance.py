@@ -148,7 +148,7 @@ class CompressedCovariance:
         return x if self._contains(indices) else x + self._pending(indices)
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
-        """Return the symmetric joint covariance of the variables, in the order given."""
+        """Return the symmetric joint covariance (k, k) of the variables, in the order given."""
         indices = joint_indices(slots)
         if self._contains(indices):
             return self._core.marginal([self._slot(slot) for slot in slots])

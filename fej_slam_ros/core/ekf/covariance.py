@@ -33,7 +33,7 @@ class Slot:
 
     @property
     def indices(self) -> Indices:
-        """Return the indices of the variable's states."""
+        """Return the indices of the variable's states, a (size,) array."""
         return np.arange(self.start, self.stop)
 
     def split(self, sizes: Sequence[int]) -> 'list[Slot]':
@@ -109,7 +109,7 @@ class Covariance:
         return [self.matrix]
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
-        """Return the symmetric joint covariance of the variables, not to be modified."""
+        """Return the symmetric joint covariance (k, k) of the variables, not to be modified."""
         if len(slots) == 1:
             return self.matrix.block(slots[0].start, slots[0].size)
         return self.matrix.submatrix(joint_indices(slots))
@@ -191,5 +191,5 @@ class Covariance:
 
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:
-    """Return the indices of all states of the variables, in the order given."""
+    """Return the indices (k,) of all states of the variables, in the order given."""
     return np.concatenate([np.empty(0, np.intp), *(slot.indices for slot in slots)])

@@ -54,7 +54,7 @@ class UpdateAtOnce:
         return self._covariance.correction(self._prior, r)
 
     def apply(self, r: Array) -> Correction:
-        """Return the correction, and update the covariance."""
+        """Return the correction by residuals r (2 m,), and update the covariance."""
         correction = self._covariance.correction(self._prior, r)
         self._covariance.condition(correction)
         return correction
@@ -77,7 +77,7 @@ class UpdateInBlocks:
         return self._applied(copy(self._covariance), r)
 
     def apply(self, r: Array) -> CorrectionInBlocks:
-        """Return the correction, and update the covariance."""
+        """Return the correction by residuals r (2 m,), and update the covariance."""
         return self._applied(self._covariance, r)
 
     def _applied(self, covariance: JointCovariance, r: Array) -> CorrectionInBlocks:

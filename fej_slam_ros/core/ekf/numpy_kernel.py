@@ -44,7 +44,7 @@ def Phi(x: Array, x_next: Array) -> Array:
 
 
 def propagated(before: Array | None, block: Array, Phi: Array, N: Array) -> tuple[Array, Array]:
-    """Return Phi times the transition before it, and the diagonal block Phi P Phi^T + N."""
+    """Return Phi times the transition before it, and Phi P Phi^T + N, all of them (d, d)."""
     block = Phi.dot(block).dot(Phi.T) + N
     return Phi if before is None else Phi.dot(before), 0.5 * (block + block.T)
 

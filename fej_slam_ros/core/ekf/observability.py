@@ -72,19 +72,19 @@ def record_observability(filter_: Filter) -> ObservabilityRecorder:
 
 
 def singular_values(M: Array) -> Array:
-    """Return the singular values of M relative to the largest, in descending order."""
+    """Return the singular values of M (m, n) relative to the largest, in descending order."""
     s = np.linalg.svd(M, compute_uv=False)
     relative: Array = s / s[0]
     return relative
 
 
 def rank(M: Array) -> int:
-    """Return the number of observable directions of the joint error."""
+    """Return the number of observable directions of the joint error (n,), given M (m, n)."""
     return int(np.count_nonzero(singular_values(M) > RANK_TOLERANCE))
 
 
 def null_space(M: Array) -> Array:
-    """Return an orthonormal basis (n, k) of the unobservable directions of the joint error."""
+    """Return an orthonormal basis (n, k) of the unobservable directions, given M (m, n)."""
     # R of M = Q R has the same null space and is much smaller.
     Vt = np.linalg.svd(np.linalg.qr(M, mode='r'))[2]
     basis: Array = Vt[rank(M):].T
@@ -128,6 +128,6 @@ def linearized_rigid_motions(filter_: Filter) -> Array:
 
 
 def largest_sine(a: Array, b: Array) -> float:
-    """Return the largest sine of the principal angles of two column spaces; 1 if sizes differ."""
+    """Return the largest sine of the angles of two column spaces (n, k); 1 if ranks differ."""
     Q_a, Q_b = orth(a), orth(b)
     return float(np.linalg.norm(Q_a @ Q_a.T - Q_b @ Q_b.T, 2))

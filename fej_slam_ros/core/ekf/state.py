@@ -155,7 +155,7 @@ class VariableSet:
         return [f for f in self.landmarks.values() if f.tentative is None]
 
     def headings(self) -> Indices:
-        """Return the indices of the robots' headings."""
+        """Return the indices (N,) of the robots' headings."""
         if self._headings is None:
             self._headings = pose_indices([*self.robots.values()])[:, 2]
         return self._headings
@@ -244,13 +244,13 @@ class JointState(VariableSet):
         self.covariance: JointCovariance = Covariance() if covariance is None else covariance
 
     def estimate(self, variable: Variable) -> Array:
-        """Return a copy of the variable's estimate."""
+        """Return a copy of the variable's estimate, (3,) of a robot and (2,) of a point."""
         slot = variable.slot
         return self.covariance.current_estimates(
             self.x_hat[slot.start:slot.stop].copy(), slot.indices)
 
     def pose(self, robot: Robot) -> Array:
-        """Return a copy of a robot's estimate, which no correction outside a submap concerns."""
+        """Return a copy of a robot's estimate (3,), which is never outside a submap."""
         return self.x_hat[robot.slot.start:robot.slot.stop].copy()
 
     def estimates(self) -> Array:
@@ -262,11 +262,11 @@ class JointState(VariableSet):
         return self.covariance.current_estimates(self.x_hat[states], states)
 
     def first_estimate(self, variable: Variable) -> Array:
-        """Return a copy of the variable's first estimate."""
+        """Return a copy of the variable's first estimate, of the shape of `estimate`."""
         return self.x_first[variable.slot.start:variable.slot.stop].copy()
 
     def marginal(self, variables: Sequence[Variable]) -> Array:
-        """Return the joint covariance of the variables."""
+        """Return the joint covariance (k, k) of the variables, in the order given."""
         return self.covariance.marginal([variable.slot for variable in variables])
 
     def whole(self, may_end: bool = False) -> Covariance:
@@ -330,7 +330,7 @@ class JointState(VariableSet):
         self.covariance.remove(slots, [other.slot for other in self.variables()])
 
     def move(self, robot: Robot, stamp: int, pose: Array) -> None:
-        """Set a robot to its predicted pose, which is its first estimate at this stamp."""
+        """Set a robot to its predicted pose (3,), which is its first estimate at this stamp."""
         states = slice(robot.slot.start, robot.slot.stop)
         self.x_hat[states] = self.x_first[states] = pose
         robot.stamp = stamp

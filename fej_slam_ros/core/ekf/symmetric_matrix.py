@@ -56,7 +56,7 @@ class SymmetricMatrix:
 
     @property
     def lower(self) -> Array:
-        """Return the storage, with all propagations applied."""
+        """Return the storage (capacity, capacity), with all propagations applied."""
         self.settle()
         return self._lower
 
@@ -89,7 +89,7 @@ class SymmetricMatrix:
         self._propagated.clear()
 
     def block(self, start: int, size: int) -> Array:
-        """Return the diagonal block of one variable, symmetric and not to be modified."""
+        """Return the diagonal block of a variable, symmetric (size, size), not to be modified."""
         if start in self._propagated:
             return self._propagated[start][1]
         return KERNEL.diagonal_block(self._lower, start, size)
@@ -128,7 +128,7 @@ class SymmetricMatrix:
         return copied
 
     def submatrix(self, indices: Indices) -> Array:
-        """Return the elements in rows and columns of the indices, symmetric."""
+        """Return the elements in rows and columns of the indices, a symmetric (k, k) array."""
         if not self._propagated:
             return self._elements(indices[:, None], indices)
         propagated = [start + np.arange(len(Phi)) for start, (Phi, _) in self._propagated.items()]

@@ -196,7 +196,7 @@ def joined_state(
     team: JointState, group: JointState, g: Array, linearization: Linearization
 ) -> JointState:
     """
-    Return the joint state of team and group in the team's frame; g is the group's pose in it.
+    Return the joint state of team and group in the team's frame, given the group's pose g (3,).
 
     Shared variables keep the team's slots and first estimates. The first estimate of a new
     variable is the group's estimate transformed by g; its dependence on g is linearised there.

@@ -64,14 +64,14 @@ def checked_increment(
 
 
 def unknown_motion(dt: float, before: Speeds) -> tuple[Array, Array]:
-    """Return (u, Q) of a robot of which only the speeds are known, over a duration [s]."""
+    """Return u (3,), Q (3, 3) over a duration [s] of a robot of which only speeds are known."""
     at_most = [s if s < np.inf else 0.0 for s in before]
     linear, angular = dt * np.maximum(at_most, MIN_SPEED_BOUNDS)
     return np.zeros(3), np.diag(np.square([linear, linear, angular]))
 
 
 def split(u: Array, Q: Array, a: float) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
-    """Return (u, Q) of the first fraction a of an increment and of the rest: u_a o rest = u."""
+    """Return (u, Q), (3,) and (3, 3), of the first fraction a and of the rest: u_a o rest = u."""
     u_a = a * u
     back = pose_rotation(u_a[2])
     return (u_a, a * Q), (between(u_a, u), (1.0 - a) * back.T @ Q @ back)

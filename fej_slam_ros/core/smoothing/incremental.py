@@ -157,7 +157,7 @@ class IncrementalSmoother:
     def add_between_keyframes(
         self, u: Array, Q: Array, observations: Iterable[Observation]
     ) -> None:
-        """Move to a pose that is not kept: its observations correct only the newest pose."""
+        """Move by u (3,) to a pose that is not kept: observations correct only the newest pose."""
         self._newest.add(u, Q, [*observations])
         self._passed = self._since_keyframe(u, Q)
 

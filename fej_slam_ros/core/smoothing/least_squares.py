@@ -53,7 +53,7 @@ class Factors(ABC):
     R: Array  #: (d, d) or (m, d, d) array, covariance of z
 
     def nodes(self, poses: int) -> tuple[Indices, Indices]:
-        """Return the two variables of each factor; landmarks are counted after the poses."""
+        """Return the two variables (m,) of each factor; landmarks are counted after the poses."""
         return self.pose, self.target
 
     @abstractmethod
