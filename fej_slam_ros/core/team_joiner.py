@@ -146,23 +146,13 @@ class TeamJoiner:
         Groups with a robot that is on probation, for the given reason, wait.
 
         """
-        team = self._groups.team
-        waiting = [g for g in self._groups.others if g.robots.keys() & on_probation.keys()]
         for name, reason in on_probation.items():
             if name in self._groups.not_in_map:
                 self._groups.not_in_map[name] = reason
-        for group in [g for g in self._groups.others if g not in waiting]:
-            has_rendezvous = (
-                team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
-            # Before step 0 only rendezvous points join groups; step 0 uses the shared landmarks.
-            # An empty ``map``, whose anchor has no valid start, has nothing to share.
-            if team.dimension and (self._groups.is_initialized or has_rendezvous):
-                failure = self._join_groups(team, group)
-                if failure is not None:
-                    self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))
+        for group in self._without_robots(on_probation):
+            self._join_to_team(group)
         if self._groups.is_initialized:
-            for group, other in combinations(
-                    [g for g in self._groups.others if g not in waiting], 2):
+            for group, other in combinations(self._without_robots(on_probation), 2):
                 if group in self._groups.others and other in self._groups.others:
                     self._join_groups(group, other)
 
@@ -199,6 +189,22 @@ class TeamJoiner:
             else:
                 reason = RejectionReason.DOES_NOT_FIT
             self._statistics.reject(Rejection(robot, prior.stamp, reason))
+
+    def _without_robots(self, robots: Collection[str]) -> list[FrameGroup]:
+        """Return the groups beside the team that have none of some robots."""
+        return [g for g in self._groups.others if g.robots.keys().isdisjoint(robots)]
+
+    def _join_to_team(self, group: FrameGroup) -> None:
+        """Join a group to the team if they share enough, or note the reason if they do not."""
+        team = self._groups.team
+        has_rendezvous = (
+            team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
+        # Before step 0 only rendezvous points join groups; step 0 uses the shared landmarks. An
+        # empty ``map``, whose anchor has no valid start, has nothing to share.
+        if team.dimension and (self._groups.is_initialized or has_rendezvous):
+            failure = self._join_groups(team, group)
+            if failure is not None:
+                self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))
 
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group; on failure, remove what contradicts the rest."""

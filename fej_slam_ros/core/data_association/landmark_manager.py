@@ -133,20 +133,13 @@ class LandmarkManager:
                 scan, Scan(scan.robot, scan.stamp, ()),
                 ScanMatchStatistics(used=len(scan.observations)))
         with_ids = tuple(s for s in scan.observations if s.id != NO_ID)
-        state, robot = filter_.state, filter_.state.robots[scan.robot]
-        observed = {filter_.landmark_key(scan.robot, s.id) for s in with_ids}
-        landmarks = [
-            landmark for key, landmark in state.landmarks.items()
-            if key not in observed and key == filter_.landmark_key(scan.robot, key[1])]
-        is_expected = view.surely_contains(state, robot, landmarks) & np.array(
-            [landmark.tentative is None for landmark in landmarks], bool)
-        result = matcher.match(
-            state, filter_.linearization, robot, unknown, landmarks,
+        landmarks = _landmarks_for(filter_, scan.robot, with_ids)
+        is_expected = view.surely_contains(
+            filter_.state, filter_.state.robots[scan.robot], landmarks
+        ) & np.array([landmark.tentative is None for landmark in landmarks], bool)
+        result = _matched(
+            filter_, matcher, scan.robot, unknown, landmarks,
             _log_odds(view, is_expected, len(unknown)))
-        # A linear update cannot correct the heading by so much, a join can.
-        if robot.turn_variance > filter_.linearization.max_turn_sigma_without_ids ** 2 and (
-                can_be_found(state)):
-            result = result.without_matches()
         matched = [
             replace(unknown[i], id=landmark.key[1]) for i, landmark in result.landmarks.items()]
         new = [replace(unknown[i], id=self._new_id()) for i in result.new]
@@ -223,6 +216,28 @@ class LandmarkManager:
 
     def _count(self, robot: str, **events: int) -> None:
         self.counts.setdefault(robot, Counter()).update(events)
+
+
+def _landmarks_for(
+    filter_: Filter, robot: str, with_ids: Sequence[Observation]
+) -> list[Landmark]:
+    """Return the landmarks that a robot's observations without ID may be of, beside others."""
+    observed = {filter_.landmark_key(robot, s.id) for s in with_ids}
+    return [
+        landmark for key, landmark in filter_.state.landmarks.items()
+        if key not in observed and key == filter_.landmark_key(robot, key[1])]
+
+
+def _matched(
+    filter_: Filter, matcher: JointCompatibilityMatcher, name: str,
+    unknown: Sequence[Observation], landmarks: Sequence[Landmark], log_odds: Array,
+) -> MatchingResult:
+    """Return the matches of a robot's observations, none if its heading is too uncertain."""
+    state, robot = filter_.state, filter_.state.robots[name]
+    result = matcher.match(state, filter_.linearization, robot, unknown, landmarks, log_odds)
+    # A linear update cannot correct the heading by so much, a join can.
+    has_turned = robot.turn_variance > filter_.linearization.max_turn_sigma_without_ids ** 2
+    return result.without_matches() if has_turned and can_be_found(state) else result
 
 
 def _log_odds(view: FieldOfView, is_expected: Flags, count: int) -> Array:

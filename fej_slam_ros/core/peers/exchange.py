@@ -73,6 +73,24 @@ class PeerState:
     bytes_received: int = 0
     rejected: Counter[MessageRejection] = field(default_factory=Counter)
 
+    def restart(self, run: int, now: int) -> None:
+        """Begin another run of the robot at a time [ns]; it may have lost its logs."""
+        self.run, self.hello, self.in_reach_since = run, None, now
+        self.known.clear()
+        self.others.clear()
+
+    def receive_hello(self, stamp: int, now: int, longest_delay: int) -> int | None:
+        """Return when hellos of a stamp came first; None if newer ones have overtaken this one."""
+        if self.hello is not None:
+            newest, heard = self.hello
+            if newest - longest_delay < stamp < newest:
+                return None
+            if stamp == newest:
+                return heard
+        # It is newer, or the clock of the robot has gone back.
+        self.hello = stamp, now
+        return now
+
     def add_round_trip(self, measured: int) -> None:
         """Use a measured round trip [ns], unless a clock has changed in it."""
         if measured > MAX_WAIT:
@@ -201,23 +219,18 @@ class PeerExchange:
         if peer.run is not None and hello.run < peer.run:
             raise MessageRejectedError(MessageRejection.OLD_RUN)
         if hello.run != peer.run:
-            # It has restarted, and may have lost its logs.
-            peer.run, peer.hello, peer.in_reach_since = hello.run, None, now
-            peer.known.clear()
-            peer.others.clear()
-        if peer.hello is None or hello.stamp > peer.hello[0]:
-            peer.hello = hello.stamp, now
-        elif hello.stamp < peer.hello[0]:
-            if hello.stamp > peer.hello[0] - REACH_PERIODS * self.settings.period:
-                # It was overtaken by a newer one.
-                return
-            # Its clock has gone back.
-            peer.hello = hello.stamp, now
+            peer.restart(hello.run, now)
+        heard = peer.receive_hello(hello.stamp, now, REACH_PERIODS * self.settings.period)
+        if heard is None:
+            return
         echo = hello.echoes.get(echo_key(self.logs.robot))
         if echo is not None:
             # Both times are rounded down: one more is not negative where clocks differ in rate.
             peer.add_round_trip((now // MS + 1 - echo) % ECHO_MODULUS * MS)
-        _, heard = peer.hello
+        self._receive_list(peer, hello, heard)
+
+    def _receive_list(self, peer: PeerState, hello: Hello, heard: int) -> None:
+        """Use the list of logs in a hello that was received at a time [ns]."""
         # Logs of former peers are still known, and given to robots that lack them.
         of_team = {
             entry.log: (heard, entry) for entry in hello.known
