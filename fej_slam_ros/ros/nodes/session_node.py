@@ -331,7 +331,7 @@ class SessionNode(SettingsNode):
         now = self._now()
         if now is None or self._last_input is None:
             return False
-        # The input has also ended if the clock went back, not only by a hair.
+        # The input has also ended if the clock went back.
         stale_after = self._settings.estimation.stale_after * 1e9
         return not -MAX_CLOCK_JITTER <= now - self._last_input <= stale_after
 

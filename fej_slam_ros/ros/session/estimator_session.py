@@ -8,11 +8,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
-
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.records import PosePrior, PriorMap, UNKNOWN_POSE_COVARIANCE
+from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
@@ -145,8 +143,8 @@ class EstimatorSession(Session):
         return replace(
             self.estimator.settings, robots=tuple(self.estimator.robots.values()))
 
-    def relocalization(self, robot: str) -> PosePrior:
-        """Return the unknown pose that makes a robot in ``map`` go on in a frame of its own."""
+    def _last_step_of(self, robot: str) -> int:
+        """Return the stamp [ns] of the last step of a robot, or say why it cannot restart."""
         groups = self.estimator.groups
         if robot in groups.not_in_map:
             raise UsageError(f'{robot} is not in map: {groups.not_in_map[robot]}')
@@ -154,9 +152,7 @@ class EstimatorSession(Session):
             raise UsageError(
                 f'the anchor {robot} has observed no landmark yet, so its pose defines map:'
                 f' publish {robot}/set_pose to place it elsewhere')
-        newest = self.estimator.sequencer.newest_odometry(robot)
-        stamp = groups.team.robots[robot].stamp if newest is None else newest
-        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE_COVARIANCE)
+        return groups.team.robots[robot].stamp
 
     def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""

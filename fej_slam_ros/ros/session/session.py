@@ -9,10 +9,12 @@ from itertools import islice
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.pieces import between_pieces, EndedError
-from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.core.records import PosePrior, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError
@@ -121,7 +123,6 @@ class Session(ABC):
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""
 
-    @abstractmethod
     def relocalization(self, robot: str) -> PosePrior:
         """
         Return the unknown pose that makes a robot go on in a frame of its own.
@@ -130,6 +131,14 @@ class Session(ABC):
         however fast the messages are processed. A UsageError says why the robot cannot restart.
 
         """
+        last_step = self._last_step_of(robot)
+        newest = self.consumer.sequencer.newest_odometry(robot)
+        return PosePrior(
+            robot, last_step if newest is None else newest, np.zeros(3), UNKNOWN_POSE_COVARIANCE)
+
+    @abstractmethod
+    def _last_step_of(self, robot: str) -> int:
+        """Return the stamp [ns] of the last step of a robot, or say why it cannot restart."""
 
     @abstractmethod
     def present_settings(self) -> Settings:

@@ -10,14 +10,12 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
-import numpy as np
-
 from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
 from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.records import NS, PosePrior, UNKNOWN_POSE_COVARIANCE
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 from fej_slam_ros.errors import UsageError
@@ -171,14 +169,12 @@ class SmootherSession(Session):
                 for (sender, receiver), sizes in self.message_sizes.items()],
         }
 
-    def relocalization(self, robot: str) -> PosePrior:
-        """Return the unknown pose that makes a robot go on in a frame of its own."""
+    def _last_step_of(self, robot: str) -> int:
+        """Return the stamp [ns] of the last step of a robot, or say why it cannot restart."""
         trajectory = self.team.trajectories.get(robot)
         if trajectory is None or trajectory.is_lost:
             raise UsageError(f'{robot} is in no map: {self.team.not_in_map()[robot]}')
-        newest = self.team.sequencer.newest_odometry(robot)
-        stamp = trajectory.newest().stamp if newest is None else newest
-        return PosePrior(robot, stamp, np.zeros(3), UNKNOWN_POSE_COVARIANCE)
+        return trajectory.newest().stamp
 
     def change_team(self, names: object) -> None:
         """Add and remove robots during the run, for a new value of the parameter ``robots``."""
