@@ -105,11 +105,13 @@ def _with_rest(
     Return a solution with known landmarks that were not observed, which come last.
 
     They follow by their covariance with the `prior` of the solution, the first of the `known`:
-    solving for a large map would take minutes.
+    solving for a large map would take minutes. With P of the prior, P_s of its variables in the
+    solution, and K = P_rp P^-1 of the rest r, the estimates are x_r + K dx and the covariance
+    is P_r - K (P - P_s) K^T; that with the solution is K times the rows of those variables.
 
     """
     n, poses, points = len(prior.P), 3 * len(prior.poses), 2 * len(prior.points)
-    # Their places among the variables that were solved for.
+    # The variables of the prior among those that were solved for.
     at = np.concatenate([np.arange(poses), 3 * len(solved.poses) + np.arange(points)])
     dx = np.concatenate([
         *(pose_error(solved.poses[name], x) for name, x in prior.poses.items()),
