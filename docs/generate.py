@@ -125,7 +125,9 @@ REASONS = {
         ' also in the last minute that a stamp can name, in 2038; of a smoother with `peers`, also'
         ' before 1970',
     RejectionReason.DUPLICATE_ID: 'one ID twice in a scan; both observations are rejected',
-    RejectionReason.NO_IDENTITY: 'ID -1, while the filter `ideal` and the smoother need IDs',
+    RejectionReason.NO_IDENTITY:
+        'ID -1, while the filter `ideal` and the node `smoother` need IDs; in `smooth`, an'
+        ' observation without ID that matches no landmark',
     RejectionReason.DUPLICATE: 'repeats robot, topic, stamp and content of an earlier message',
     RejectionReason.CONFLICTING: 'different odometry, or another true pose, at the same stamp',
     RejectionReason.BEFORE_ODOMETRY: 'scan before the first odometry of the robot',

@@ -26,11 +26,13 @@ from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.calibration_run import (
     calibrated, Calibration, Estimates, is_known, parsed, RobotErrors)
+from fej_slam_ros.cli.run_table import matched_in_words
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
-from fej_slam_ros.core.calibration.from_innovations import counts, Received, run as run_estimator
+from fej_slam_ros.core.calibration.from_innovations import counts, run as run_estimator
 from fej_slam_ros.core.calibration.from_truth import DOF, MAX_RELATIVE_ERROR
 from fej_slam_ros.core.calibration.odometry_errors import MAX_ERROR
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
+from fej_slam_ros.core.offline_matching import Received
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
@@ -171,9 +173,7 @@ def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
                 f'{kind}_noise_scale {estimate.scales[""].scale:.3g} is more than wrong noise'
                 ' explains: check units, frames and sensor poses, doctor names some of them')
     if found.matched.counts:
-        yield (
-            '{matched} observations without ID matched landmarks, {new} began some, {doubtful} may'
-            ' be of several and were left out'.format_map(found.matched.counts))
+        yield matched_in_words(found.matched.counts)
     without_id = collector.statistics.total(RejectionReason.NO_IDENTITY)
     if without_id:
         yield f'{without_id} observations without ID were left out, also of NIS and NEES'

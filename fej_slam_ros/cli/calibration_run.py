@@ -11,14 +11,15 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from fej_slam_ros.core.calibration.from_innovations import counts, most_likely_scales, Received
+from fej_slam_ros.core.calibration.from_innovations import counts, most_likely_scales
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, ERROR_WINDOW, Errors, noise_scales, NoiseScale, normalized_errors)
-from fej_slam_ros.core.calibration.matched_ids import (
+from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
 from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, OdometryErrors)
 from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.offline_matching import Received
 from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError

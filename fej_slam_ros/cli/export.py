@@ -9,7 +9,7 @@ beside the output are those to run the exported data with: what was applied to t
 
 from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -17,6 +17,7 @@ from typing import NamedTuple
 from fej_slam_ros.atomic_files import write_csv, write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import team_messages
+from fej_slam_ros.cli.bag_matches import matches_in
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import Odometry
@@ -27,7 +28,7 @@ from fej_slam_ros.datasets.g2o.graph import Graph, graph_of
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
-from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.record_collector import collect
 from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
@@ -71,9 +72,8 @@ def run(arguments: Namespace) -> int:
     values = parameters.load_values(arguments.params, nodes, parameters.no_warning)
     output, beside = arguments.output, Path(f'{arguments.output}.yaml')
     with claimed(output, arguments.force), claimed(beside, arguments.force):
-        messages = team_messages(
-            arguments.bag, settings.estimation, names_in(arguments, arguments.bag))
-        exported = arguments.export(output, messages, settings)
+        exported = arguments.export(
+            arguments.bag, settings, names_in(arguments, arguments.bag), output)
         kept = {
             name: x for name, x in values.items()
             if name.rpartition('.')[2] not in arguments.applied}
@@ -82,13 +82,12 @@ def run(arguments: Namespace) -> int:
     return 0
 
 
-def _export_graph(
-    path: Path, messages: Iterable[RawMessage], settings: RunSettings
-) -> Exported:
+def _export_graph(bag: Path, settings: RunSettings, names: TopicNames, path: Path) -> Exported:
     """Write poses and landmarks as `smooth` estimates them, and all measurements."""
     node = replace(settings.node, on_time_jump='refuse', restore='')
-    session = BagSmootherSession(replace(settings, node=node), None)
-    for message in messages:
+    session = BagSmootherSession(
+        replace(settings, node=node), None, matches=matches_in(bag, settings, names))
+    for message in team_messages(bag, settings.estimation, names):
         session.receive(message)
         for _ in session.take():
             pass
@@ -106,9 +105,10 @@ def _export_graph(
 
 
 def _export_tables(
-    folder: Path, messages: Iterable[RawMessage], settings: RunSettings
+    bag: Path, settings: RunSettings, names: TopicNames, folder: Path
 ) -> Exported:
     """Write odometry, observations, pose priors and ground truth as tables."""
+    messages = team_messages(bag, settings.estimation, names)
     collector = collect(messages, settings, needs_ids=False)
     records = [record for record, _ in collector.records]
     if not any(isinstance(record, Odometry) for record in records):

@@ -36,3 +36,10 @@ def _row(name: str, summary: Mapping[str, Any]) -> tuple[str, ...]:
         name, robot['frame'], str(robot['steps']), number(rmse.get('position'), '.3f'),
         number(rmse.get('heading'), '.4f'), number(summary.get('nees', {}).get(name), '.2f'),
         str(robot['received']), str(robot['used']), str(robot['refused']))
+
+
+def matched_in_words(counts: Mapping[str, int]) -> str:
+    """Return the numbers of observations without ID that were matched, new or doubtful as text."""
+    return (
+        '{matched} observations without ID matched landmarks, {new} began some, {doubtful} may be'
+        ' of several and were left out'.format_map(counts))

@@ -7,18 +7,23 @@ C-SAM: least squares over all measurements. Each robot maps alone in the frame <
 merge where robots observed each other or share landmark IDs; the merged map is in the frame map if
 it contains the anchor. Odometry must have noise in every direction. Parameters are those of the
 node estimator or smoother.
+
+Observations without IDs get those of the landmarks that the estimator matches them with, as in
+`replay`, before they are smoothed.
 """
 
 import argparse
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from fej_slam_ros.cli import offline_run
-from fej_slam_ros.cli.run_table import run_table
+from fej_slam_ros.cli.bag_matches import matches_in
+from fej_slam_ros.cli.run_table import matched_in_words, run_table
 from fej_slam_ros.cli.smoother import ignored_parameters
-from fej_slam_ros.cli.topic_options import node_names
+from fej_slam_ros.cli.topic_options import names_in, node_names
 from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
@@ -52,11 +57,16 @@ def run(arguments: argparse.Namespace) -> int:
     settings = replace(settings, node=replace(
         settings.node, checkpoint='', restore=arguments.restore))
     own_ids = not settings.estimation.shared_landmark_ids
+    matches = None if arguments.restore else matches_in(
+        arguments.bag, settings, names_in(arguments, arguments.bag))
     sessions = offline_run.process(
-        arguments, settings, 'smoother', BagSmootherSession, SmoothedSink)
+        arguments, settings, 'smoother', partial(BagSmootherSession, matches=matches),
+        SmoothedSink)
     print('\n\n'.join(
         '\n'.join([run_table(summary), *_tables(session, own_ids)])
         for session, summary in sessions))
+    if matches is not None:
+        print(matched_in_words(matches.counts))
     return 0
 
 

@@ -258,18 +258,21 @@ class TeamJoiner:
         if isinstance(found, JoinFailure):
             failure = found
         else:
-            other.filter.state = renamed(before, found)
+            same = found
+            other.filter.state = renamed(before, same)
             # A landmark may look different from elsewhere, or be the neighbour of the right one.
             most = min(len(found) // MATCHES_OF_MISFIT, len(found) - MIN_MATCHES)
             misfits = self._joiner.misfits(group.filter, other.filter, most)
             if misfits:
-                other.filter.state = renamed(
-                    before, {old: new for old, new in found.items() if new not in misfits})
+                same = {old: new for old, new in found.items() if new not in misfits}
+                other.filter.state = renamed(before, same)
             failure = self._joiner.join(group.filter, other.filter)
             if failure is not None:
                 other.filter.state = before
                 # Matches of landmarks without ID may be wrong, which is no reason to remove any.
                 failure = replace(failure, outlying_landmarks=())
+            else:
+                self._landmark_manager.replace_ids({old[1]: new[1] for old, new in same.items()})
         if failure is None:
             self._compared.pop(names, None)
         else:

@@ -42,7 +42,7 @@ BASIC = (
     'numpy scipy fej_slam_ros.errors '
     + ' '.join(f'fej_slam_ros.core.{module}' for module in (
         'chi_square', 'consistency', 'definiteness', 'estimates', 'frame_names', 'gauss_newton',
-        'geometry', 'ground_truth', 'join_failure',
+        'geometry', 'ground_truth', 'join_failure', 'matches',
         'models', 'motion_models', 'parameter_kinds', 'pieces', 'point_consensus', 'records',
         'rejections', 'settings'))
 )
@@ -70,7 +70,8 @@ RULES = {
     'core/smoothing/': in_core('smoothing', 'ekf'),
     'core/csam/': in_core('csam', 'smoothing', 'ordering'),
     'core/peers/': in_core('peers', 'csam', 'smoothing', 'ordering'),
-    'core/calibration/': in_core('calibration', 'estimator', 'ordering'),
+    'core/calibration/': in_core('calibration', 'estimator', 'offline_matching', 'ordering'),
+    'core/offline_matching.py': in_core('estimator'),
     'core/estimator.py': in_core(
         'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'new_landmarks',
         'ordering', 'ekf', 'data_association'),

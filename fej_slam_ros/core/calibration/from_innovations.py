@@ -9,7 +9,7 @@ determines both.
 """
 
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -20,15 +20,13 @@ import numpy as np
 from scipy.optimize import minimize
 
 from fej_slam_ros.core.calibration.from_truth import NoiseScale, OUTLIER_PROBABILITY
-from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.offline_matching import Received, steps
 from fej_slam_ros.core.records import Odometry, PriorMap, Record, RobotScan, Scan
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
-#: A record and its time of reception [ns].
-Received = tuple[Record, int | None]
 #: Observer, stamp, and observed robot or landmark ID of an observation.
 ObservationKey = tuple[str, int, str | int | None]
 
@@ -51,14 +49,6 @@ def with_scales(settings: Settings, scales: Mapping[str, float]) -> Settings:
     named: dict[str, Any] = {f'{kind}_noise_scale': scale for kind, scale in scales.items()}
     robots = tuple(replace(robot, **named) for robot in settings.robots)
     return replace(settings, robots=robots, **named)
-
-
-def steps(estimator: Estimator, records: Iterable[Received]) -> Iterator[StepResult]:
-    """Add all records and close; yield each step when it is finished."""
-    for record, received in records:
-        estimator.add(record, received)
-        yield from estimator.take()
-    yield from estimator.close()
 
 
 def run(

@@ -23,7 +23,7 @@ MIN_LIKELIHOOD_RATIO = 10.0
 
 def merge_duplicates(
     filter_: Filter, candidates: Iterable[Landmark], observed_together: Sequence[Landmark] = ()
-) -> int:
+) -> dict[int, int]:
     """
     Merge each candidate with its nearest neighbour where both are one landmark.
 
@@ -35,11 +35,10 @@ def merge_duplicates(
 
     Returns
     -------
-    int
-        Number of landmarks that were merged into another one.
+    The ID of the landmark into which each other one was merged, by the other's ID.
 
     """
-    merged = 0
+    merged: dict[int, int] = {}
     state = filter_.state
     confirmed, positions = _confirmed(state)
     for landmark in candidates:
@@ -59,7 +58,7 @@ def merge_duplicates(
             kept.distinct |= duplicate.distinct
             filter_.merge(kept, duplicate)
             confirmed, positions = _confirmed(state)
-            merged += 1
+            merged[duplicate.key[1]] = kept.key[1]
     return merged
 
 

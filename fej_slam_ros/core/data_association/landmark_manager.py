@@ -118,6 +118,20 @@ class LandmarkManager:
     #: for each robot the number of ``matched``, ``new`` and ``doubtful`` observations, and of
     #: landmarks that were ``settled`` (confirmed), ``forgotten`` (deleted) or ``merged``
     counts: dict[str, Counter[str]] = field(default_factory=dict)
+    #: the ID that a landmark has now, by one that it had before it was merged or its map joined
+    replaced: dict[int, int] = field(default_factory=dict)
+
+    def present_id(self, id_: int) -> int:
+        """Return the present ID of a landmark that has or had an ID."""
+        while id_ in self.replaced:
+            id_ = self.replaced[id_]
+        return id_
+
+    def replace_ids(self, ids: Mapping[int, int]) -> None:
+        """Note the IDs that landmarks have from now on, by those before."""
+        for id_, present in ids.items():
+            self.replaced[id_] = present
+            self.replaced.pop(present, None)
 
     def associate(
         self, filter_: Filter, matcher: JointCompatibilityMatcher, scan: Scan
@@ -173,7 +187,7 @@ class LandmarkManager:
             if f.tentative is not None and key not in not_missed})
         merged = merge_duplicates(
             filter_, [*observed, *candidates], [f for f in observed if not f.tentative])
-        self._count(robot.name, merged=merged)
+        self._add_merged(robot.name, merged)
 
     def merge(self, filter_: Filter, robot: str) -> None:
         """
@@ -184,7 +198,11 @@ class LandmarkManager:
         """
         while filter_.state.robots and (
                 merged := merge_duplicates(filter_, filter_.state.confirmed_landmarks())):
-            self._count(robot, merged=merged)
+            self._add_merged(robot, merged)
+
+    def _add_merged(self, robot: str, merged: Mapping[int, int]) -> None:
+        self.replace_ids(merged)
+        self._count(robot, merged=len(merged))
 
     def _add_hit(self, robot: Robot, landmark: Landmark) -> None:
         """Add an observation to a tentative landmark's evidence, which may confirm it."""

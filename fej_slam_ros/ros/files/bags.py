@@ -3,7 +3,7 @@
 """Read and write rosbag2 files; an unreadable bag raises UserError."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import dataclass
 import errno
@@ -39,11 +39,14 @@ LATCHED = re.compile(
 MAX_METADATA = 10_000_000
 
 
-def read(path: Path, names: TopicNames = RECORDED_NAMES) -> Iterator[RawMessage]:
-    """Yield the messages of a bag in the order in which they were recorded."""
+def read(
+    path: Path, names: TopicNames = RECORDED_NAMES, only: Container[str] | None = None
+) -> Iterator[RawMessage]:
+    """Yield the messages of a bag, perhaps on some topics only, as they were recorded."""
     with _opened(path) as reader:
         topics = {c.topic: names.name(c.topic) for c in reader.connections}
-        for connection, logged, raw in reader.messages():
+        wanted = [c for c in reader.connections if only is None or topics[c.topic] in only]
+        for connection, logged, raw in reader.messages(wanted) if wanted else ():
             # A damaged sqlite3 file may hold a time of any type.
             yield RawMessage(topics[connection.topic], connection.msgtype, int(logged), bytes(raw))
 

@@ -51,6 +51,11 @@ def scan(
     return Scan(robot.name, from_time(cloud.header.stamp), tuple(observations)), rejected
 
 
+def has_unknown_landmarks(cloud: PointCloud2) -> bool:
+    """Return whether a scan has an observation without ID."""
+    return bool((checked_columns(cloud)['id'] == NO_ID).any())
+
+
 def robot_scan(
     cloud: PointCloud2, robot: RobotSettings, robots_by_id: Mapping[int, str]
 ) -> tuple[RobotScan, list[Rejection]]:

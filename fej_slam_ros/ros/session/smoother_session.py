@@ -11,10 +11,12 @@ from time import monotonic_ns
 from typing import Any
 
 from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
+from fej_slam_ros.core.csam.matched_smoother import MatchedTeamSmoother
 from fej_slam_ros.core.csam.message_sizes import smallest
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
+from fej_slam_ros.core.matches import Matches
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings, Settings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
@@ -85,12 +87,15 @@ class SmootherSession(Session):
         if self.is_restored:
             self.team, self.inputs = checkpoint.load_smoother(Path(node.restore), self.settings)
         else:
-            self.team = TeamSmoother(self.settings.estimation, solve_every)
+            self.team = self._new_team(solve_every)
             self.inputs = Inputs(self.team, node)
         self.consumer = self.team
         self.outputs = SmootherOutputs(self.team, self.inputs, node)
         self.diagnostics = SmootherDiagnostics(self.team, self.inputs, node)
         self.log = SmootherLog(self.team, self.inputs)
+
+    def _new_team(self, solve_every: int) -> TeamSmoother:
+        return TeamSmoother(self.settings.estimation, solve_every)
 
     def check_starts(self, messages: MissedMessages) -> None:
         """Expect an anchor that had moved before its first odometry arrives, as in a live run."""
@@ -220,7 +225,27 @@ class SmootherSession(Session):
 
 
 class BagSmootherSession(SmootherSession):
-    """A smoother over a bag, which publishes poses only when all are smoothed."""
+    """
+    A smoother over a bag, which publishes poses only when all are smoothed.
+
+    Parameters
+    ----------
+    settings, folder, force : as for every `Session`
+    matches : landmarks of observations without ID, None to reject these
+
+    """
+
+    def __init__(
+        self, settings: RunSettings, folder: Path | None, force: bool | None = None,
+        matches: Matches | None = None,
+    ) -> None:
+        self._matches = matches
+        super().__init__(settings, folder, force)
+
+    def _new_team(self, solve_every: int) -> TeamSmoother:
+        if self._matches is None:
+            return super()._new_team(solve_every)
+        return MatchedTeamSmoother(self.settings.estimation, self._matches, solve_every)
 
     def smoothed_poses(self) -> Iterator[Publication]:
         """Yield all poses of a closed run."""

@@ -11,9 +11,10 @@ import pytest
 from fej_slam_ros.core.records import (
     Observation, Odometry, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.session import simulation
 from helpers.optional import is_installed, optional
 from helpers.paths import BAGS
-from helpers.records import odometry, scan
+from helpers.records import odometry, scan, without_ids
 from helpers.ros import (
     assert_one_sentence, csv_rows, raw_record, run_verb, write_bag, write_parameters)
 
@@ -27,6 +28,14 @@ ROUNDING = 1e-9
 @pytest.fixture(params=SHIPPED)
 def bag(request):
     return SHIPPED[request.param]
+
+
+def bag_without_ids(folder):
+    path = folder / 'without_ids'
+    write_bag(path, map(raw_record, without_ids(simulation.parse({
+        'loops': 2, 'landmarks': 30, 'seed': 3, 'landmark_sigma': [0.03, 0.03]}).records())))
+    write_parameters(folder / f'{path.name}.yaml')
+    return path
 
 
 def estimates(bag, params, folder):
@@ -59,7 +68,9 @@ def test_an_export_converted_back_gives_the_same_estimates(bag, kind, tmp_path):
         assert_allclose(got[name], rows, rtol=0.0, atol=ROUNDING)
 
 
-def test_the_chi_square_of_the_graph_is_that_of_the_smoother(bag, tmp_path, capsys):
+@pytest.mark.parametrize('name', [*SHIPPED, 'without_ids'])
+def test_the_chi_square_of_the_graph_is_that_of_the_smoother(name, tmp_path, capsys):
+    bag = SHIPPED.get(name) or bag_without_ids(tmp_path)
     run_verb('smooth', bag, '--params', f'{bag}.yaml', '--output', tmp_path / 'smoothed')
     solved, = json.loads(
         (tmp_path / 'smoothed' / 'alignment.json').read_text(encoding='utf-8'))['maps']

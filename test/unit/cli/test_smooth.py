@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`smooth`: smoothed trajectories and maps of a bag, and error messages."""
 
+from dataclasses import replace
 import json
 import shutil
 
@@ -11,12 +12,14 @@ import pytest
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.core.offline_matching import match
+from fej_slam_ros.core.records import NO_ID, Odometry, Scan
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
-from helpers.records import team
+from helpers.records import odometry, scan, team, without_ids
 from helpers.ros import (
     assert_one_sentence, csv_rows, decoded, meeting, odometry_message, raw, raw_record,
     run_settings, run_verb, save, summary_of, write_bag, write_parameters)
@@ -233,3 +236,37 @@ def test_a_missing_checkpoint_is_one_sentence(smooth):
     assert_one_sentence(
         smooth(MEETING, '--restore', '/nowhere/saved', robots=['r1', 'r2']), 1,
         'cannot read the checkpoint /nowhere/saved', 'No such file')
+
+
+def test_without_ids_the_result_is_that_of_the_matched_observations_with_their_ids(
+        smooth, places):
+    records = [*simulation.parse({
+        'loops': 2, 'landmarks': 30, 'seed': 3, 'landmark_sigma': [0.03, 0.03]}).records()]
+    stripped = without_ids(records)
+    matches = match(team(), [(r, None) for r in stripped if isinstance(r, (Odometry, Scan))])
+
+    status, printed, error = smooth(map(raw_record, stripped))
+    found = np.loadtxt(places[2] / 'r2.tum')
+    shutil.rmtree(places[0])
+    smooth([raw_record(known(r, matches)) for r in records], '--force')
+
+    assert (status, error) == (0, '')
+    assert 'observations without ID matched landmarks' in printed
+    # Rounding of two solutions in which landmarks have another order.
+    assert_allclose(found, np.loadtxt(places[2] / 'r2.tum'), atol=1e-6)
+
+
+def known(record, matches):
+    """Return a record with the true IDs of the matched observations alone."""
+    if not isinstance(record, Scan):
+        return record
+    return replace(record, observations=tuple(
+        o for o in record.observations
+        if (record.robot, record.stamp, o.z.tobytes()) in matches.ids))
+
+
+def test_with_unmatched_observations_alone_a_scan_is_no_step(smooth):
+    _, printed, _ = smooth(map(raw_record, [
+        odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(NO_ID, (1.0, 0.0))])]))
+
+    assert 'rejected messages and observations: no_identity 1' in printed

@@ -77,7 +77,7 @@ def test_landmarks_apart_stay_apart_however_uncertain_the_motion_of_everything()
     points = np.vstack([POINTS[:2], POINTS[:1] + np.array([1.0, 0.0]), POINTS[3:]])
     filter_, landmarks = coarsely_started('fej', points, unknown=(5.0, 5.0, 0.3))
 
-    assert merge_duplicates(filter_, landmarks) == 0
+    assert merge_duplicates(filter_, landmarks) == {}
 
 
 def test_a_map_whose_robots_have_left_keeps_its_duplicates():
@@ -93,8 +93,21 @@ def test_a_map_whose_robots_have_left_keeps_its_duplicates():
 def test_landmarks_that_are_likely_one_are_merged_under_the_older_id():
     filter_, landmarks = a_filter()
 
-    assert merge_duplicates(filter_, landmarks) == 1
+    assert merge_duplicates(filter_, landmarks) == {-4: -2}
     assert [key for _, key in filter_.state.landmarks] == [-2, -3, -5]
+
+
+def test_the_present_id_of_a_landmark_is_that_of_the_last_one_into_which_it_was_merged():
+    filter_, _ = a_filter()
+    manager = LandmarkManager()
+
+    manager.merge(filter_, 'r1')
+    assert [manager.present_id(id_) for id_ in (-2, -3, -4, -5)] == [-2, -3, -2, -5]
+    manager.replace_ids({-2: 7})
+    assert [manager.present_id(id_) for id_ in (-2, -4, 7)] == [7, 7, 7]
+    # A map that had the ID before may join another one.
+    manager.replace_ids({7: -2})
+    assert [manager.present_id(id_) for id_ in (-2, -4, 7)] == [-2, -2, -2]
 
 
 def test_a_landmark_without_observed_id_is_merged_into_one_with_an_id():
@@ -103,7 +116,7 @@ def test_a_landmark_without_observed_id_is_merged_into_one_with_an_id():
     landmarks[2].key = ('', 7)
     state.landmarks = {landmark.key: landmark for landmark in landmarks}
 
-    assert merge_duplicates(filter_, landmarks) == 1
+    assert merge_duplicates(filter_, landmarks) == {-2: 7}
     assert [key for _, key in state.landmarks] == [-3, 7, -5]
 
 
@@ -113,15 +126,15 @@ def test_landmarks_with_observed_ids_are_never_merged():
         landmark.key = ('', number)
     filter_.state.landmarks = {landmark.key: landmark for landmark in landmarks}
 
-    assert merge_duplicates(filter_, landmarks) == 0
+    assert merge_duplicates(filter_, landmarks) == {}
 
 
 @pytest.mark.parametrize('together', [slice(0, 4), slice(0, 3, 2)])
 def test_landmarks_of_one_scan_are_never_merged(together):
     filter_, landmarks = a_filter()
 
-    assert merge_duplicates(filter_, landmarks, observed_together=landmarks[together]) == 0
-    assert merge_duplicates(filter_, landmarks) == 0
+    assert merge_duplicates(filter_, landmarks, observed_together=landmarks[together]) == {}
+    assert merge_duplicates(filter_, landmarks) == {}
 
 
 def test_landmarks_distinct_from_a_merged_one_stay_distinct():
@@ -129,19 +142,19 @@ def test_landmarks_distinct_from_a_merged_one_stay_distinct():
     whole, _, part, beside = landmarks
     part.distinct.add(beside.key)
 
-    assert merge_duplicates(filter_, [whole]) == 1
+    assert merge_duplicates(filter_, [whole]) == {-4: -2}
 
     # At 0.1 m, about its standard deviation, both would be merged but for this.
     place = slice(beside.slot.start, beside.slot.stop)
     filter_.state.x_hat[place] = filter_.state.estimate(whole) + 0.1
-    assert merge_duplicates(filter_, [whole, beside]) == 0
+    assert merge_duplicates(filter_, [whole, beside]) == {}
 
 
 @pytest.mark.parametrize('away', [(1.0, 0.0), (0.0, 3.0)])
 def test_landmarks_farther_apart_than_their_uncertainty_are_not_merged(away):
     filter_, landmarks = a_filter(np.vstack([POINTS[:2], POINTS[:1] + away, POINTS[3:]]))
 
-    assert merge_duplicates(filter_, landmarks) == 0
+    assert merge_duplicates(filter_, landmarks) == {}
 
 
 def test_an_error_that_two_landmarks_share_does_not_make_them_one():
@@ -152,10 +165,10 @@ def test_an_error_that_two_landmarks_share_does_not_make_them_one():
     state, _ = a_map(points, P)
     filter_ = Filter(state, FirstEstimates(), Gate(1.0))
 
-    assert merge_duplicates(filter_, [*state.landmarks.values()]) == 0
+    assert merge_duplicates(filter_, [*state.landmarks.values()]) == {}
 
 
 def test_landmarks_as_uncertain_as_their_spacing_are_not_merged():
     filter_, landmarks = a_filter(sigma=4.0)
 
-    assert merge_duplicates(filter_, landmarks) == 0
+    assert merge_duplicates(filter_, landmarks) == {}

@@ -1,0 +1,57 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Matching of the observations without ID of a whole run, for what needs to know their landmarks.
+
+What the estimator found at last counts: a landmark that it mapped twice and then merged has one
+ID, and observations of a landmark that it deleted have none.
+"""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+
+from fej_slam_ros.core.estimates import StepResult
+from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.matches import Matches, observation_key, ObservationKey
+from fej_slam_ros.core.records import PriorMap, Record
+from fej_slam_ros.core.settings import Settings
+
+#: A record and its time of reception [ns].
+Received = tuple[Record, int | None]
+
+
+def steps(estimator: Estimator, records: Iterable[Received]) -> Iterator[StepResult]:
+    """Add all records and close; yield each step when it is finished."""
+    for record, received in records:
+        estimator.add(record, received)
+        yield from estimator.take()
+    yield from estimator.close()
+
+
+def match(
+    settings: Settings, records: Iterable[Received], prior: PriorMap | None = None,
+    on_step: Callable[[], object] = lambda: None,
+) -> Matches:
+    """
+    Return the landmarks of the observations without ID in some records.
+
+    Parameters
+    ----------
+    settings : of the estimator
+    records : a robot has at most one scan with observations without ID at a stamp
+    prior : map known before the run
+    on_step : called after each step of the estimator
+
+    """
+    estimator = Estimator(settings, prior)
+    ids: dict[ObservationKey, int] = {}
+    for step in steps(estimator, records):
+        on_step()
+        ids |= {
+            observation_key(scan, o): o.id for scan in step.associated for o in scan.observations}
+    manager = estimator.landmark_manager
+    confirmed = {id_ for frame_map in estimator.maps() for _, id_ in frame_map.keys}
+    return Matches(
+        {key: present for key, id_ in ids.items()
+         if (present := manager.present_id(id_)) in confirmed},
+        sum(manager.counts.values(), Counter()))
