@@ -30,6 +30,10 @@ STRICT_PARAMETERS = 'strict_parameters'
 MAX_ROBOTS = 100
 #: Maximum number of warnings about unknown names in one file.
 MAX_WARNINGS = 20
+#: Least similarity (of ``difflib``, from 0 to 1) of a misspelled name and the one that is meant.
+#: Names of parameters of other nodes, with which files are shared, are less like known ones:
+#: ``<robot>.sensor_frame`` is 0.79 like ``<robot>.base_frame``.
+LEAST_SIMILARITY = 0.8
 #: Maximum length of a name or value in a message.
 MAX_SHOWN = 500
 
@@ -113,7 +117,9 @@ def unknown_parameter(
     name = shortened(name)
     owner, dot, _ = name.partition('.')
     remarks = [f'{owner!r} is not in robots'] if dot and robots and owner not in robots else []
-    remarks += [f'did you mean {near!r}?' for near in get_close_matches(name, known, n=1)]
+    longer = sorted((other for other in known if other.startswith(name)), key=len)
+    near = [*longer, *get_close_matches(name, known, n=1, cutoff=LEAST_SIMILARITY)]
+    remarks += [f'did you mean {meant!r}?' for meant in near[:1]]
     return f'unknown parameter {name!r}{effect}' + (f': {", ".join(remarks)}' if remarks else '')
 
 

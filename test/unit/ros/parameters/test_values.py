@@ -3,6 +3,7 @@
 """Values of parameters are those that are declared, or an error or warning of one sentence."""
 
 from array import array
+from itertools import permutations
 import math
 import re
 
@@ -10,8 +11,10 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters import known_parameters, parse
+from fej_slam_ros.ros.parameters import (
+    adapter_settings, detector_settings, known_parameters, parse)
 from fej_slam_ros.ros.parameters.adapter_settings import parse_adapter
+from fej_slam_ros.ros.parameters.detector_settings import parse_detector
 from fej_slam_ros.ros.parameters.values import RENAMED_PARAMETERS, warn_once
 
 
@@ -82,6 +85,24 @@ def test_no_name_is_proposed_for_an_unknown_parameter_that_is_like_none():
     assert warnings == [
         "unknown parameter 'camera_topic' is ignored",
         "unknown parameter 'r7.usb_port' is ignored: 'r7' is not in robots"]
+
+
+PARSERS = {
+    'estimator': (parse, known_parameters),
+    'detector': (parse_detector, detector_settings.known_parameters),
+    'adapter': (parse_adapter, adapter_settings.known_parameters)}
+
+
+@pytest.mark.parametrize(('node', 'other'), permutations(PARSERS, 2))
+def test_no_name_is_proposed_for_a_parameter_of_another_node_in_a_shared_file(node, other):
+    parser, names = PARSERS[node]
+    unknown = PARSERS[other][1](['r1', 'r2']).keys() - names(['r1', 'r2'])
+    warnings = []
+
+    for name in unknown:
+        parser({'robots': ['r1', 'r2'], name: 0}, warnings.append)
+
+    assert set(warnings) == {f'unknown parameter {name!r} is ignored' for name in unknown}
 
 
 def test_a_team_must_be_given():
