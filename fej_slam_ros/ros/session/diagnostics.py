@@ -149,6 +149,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """Return whether a robot needs observations to get into ``map``."""
 
     @abstractmethod
+    def _publishes_tf(self) -> bool:
+        """Return whether transforms to the odometry frames are published."""
+
+    @abstractmethod
     def _state_of(self, robot: str) -> tuple[Level, str]:
         """Return level and message of a robot for the most serious condition of its estimate."""
 
@@ -190,6 +194,9 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """Add the conditions of the input of a robot to level and message of its estimate."""
         found = faults(self._input_of(robot, now))
         found += [Fault(Level.WARN, fault) for fault in self._inputs.frames.faults(robot)]
+        if self._publishes_tf():
+            found += [
+                Fault(Level.WARN, fault) for fault in self._inputs.frames.ambiguities(robot)]
         others = self.conditions.other_publishers.get(robot)
         if others is not None:
             found.append(Fault(Level.WARN, also_published(others)))

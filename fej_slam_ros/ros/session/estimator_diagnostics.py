@@ -53,6 +53,9 @@ class EstimatorDiagnostics(Diagnostics[Estimator]):
     def _needs_observations(self, robot: str) -> bool:
         return self._is_before_step_0(robot) or robot in self._consumer.groups.not_in_map
 
+    def _publishes_tf(self) -> bool:
+        return self.settings.publish_tf
+
     def _is_before_step_0(self, robot: str) -> bool:
         estimator = self._consumer
         return robot == estimator.settings.anchor and not estimator.groups.is_initialized

@@ -122,6 +122,17 @@ class FrameNames:
                 f'the child frame of its odometry changes ({", ".join(sorted(children))}), so that'
                 f' its base frame is {base!r}: correct the driver, or set {robot}.base_frame')
 
+    def ambiguities(self, robot: str) -> Iterator[str]:
+        """Yield a sentence if the odometry of a robot is in the frame of another one's."""
+        name, odometry = self._odometry_name(robot), self.odometry(robot)
+        others = [other for other in self._others(robot) if self._odometry_name(other) == name]
+        if name not in {'', odometry} and others:
+            yield (
+                f'its odometry is in the frame {name!r}, as that of {others[0]}, so that the'
+                f' transform from map leads to {odometry!r}: set tf_topics to robot if the'
+                f' transforms of its driver are on /{robot}/tf, else begin its frames with its'
+                ' name')
+
     def knows_base(self, robot: str) -> bool:
         """Return whether odometry has named the base frame of a robot."""
         return bool(self._children.get(robot))

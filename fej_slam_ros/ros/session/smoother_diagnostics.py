@@ -25,6 +25,9 @@ class SmootherDiagnostics(Diagnostics[TeamSmoother]):
     def _needs_observations(self, robot: str) -> bool:
         return robot in self._consumer.not_in_map()
 
+    def _publishes_tf(self) -> bool:
+        return self.settings.publish_smoothed_tf
+
     def _state_of(self, robot: str) -> tuple[Level, str]:
         team = self._consumer
         trajectory = team.trajectories.get(robot)

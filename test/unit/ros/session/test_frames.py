@@ -105,6 +105,33 @@ def test_odometry_of_a_localisation_is_reported(frame):
     assert f'is in the frame {frame!r}, as that of a localisation' in sentence
 
 
+@pytest.mark.parametrize(
+    ('node', 'frames', 'is_reported'),
+    [
+        ({}, ('odom', 'odom'), True),
+        ({'tf_topics': 'both'}, ('odom', 'odom'), True),
+        ({'tf_topics': 'robot'}, ('odom', 'odom'), False),
+        ({}, ('odom', 'r2/odom'), False),
+        ({}, ('', ''), False),
+        ({'publish_tf': False}, ('odom', 'odom'), False),
+    ],
+)
+def test_a_transform_to_a_frame_that_no_driver_has_is_reported(node, frames, is_reported):
+    run = EstimatorSession(parse({'robots': ['r1', 'r2'], **node}), None)
+
+    for robot, frame in zip(('r1', 'r2'), frames):
+        run.receive(raw(
+            f'{robot}/odom', replace(odometry_message(child=''), header=header(0, frame))))
+
+    _, report = run.diagnostics.report(10**9, at_rest=False)
+    told = {status.name: status.message for status in report.status}
+    for robot, other in ('r1', 'r2'), ('r2', 'r1'):
+        sentence = (
+            f"its odometry is in the frame 'odom', as that of {other}, so that the transform from"
+            f" map leads to '{robot}/odom': set tf_topics to robot")
+        assert (sentence in told[f'estimator: {robot}']) == is_reported
+
+
 def test_frames_of_parameters_do_not_change_with_the_odometry():
     names = FrameNames(
         Estimator(parse({**NAV2, 'robots': ['r1', 'r2']}).estimation), NodeSettings())
