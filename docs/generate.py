@@ -21,9 +21,8 @@ from fej_slam_ros.ros.messages import Message, outgoing, serialize
 from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
 from fej_slam_ros.ros.nodes.qos import input_qos, output_qos
 from fej_slam_ros.ros.parameters import (
-    adapter_settings, declared_parameters, ESTIMATOR, known_parameters, NodeSettings, QOS_POLICIES,
-    RENAMED_PARAMETERS, SMOOTHER)
-from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
+    adapter_settings, declared_parameters, detector_settings, ESTIMATOR, known_parameters,
+    NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS, SMOOTHER)
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_outputs import relative_topic
 from fej_slam_ros.ros.session.frames import STATIC_TF, TF
@@ -271,7 +270,7 @@ Parameters that do not apply to the environment are rejected.
 
 The node `detector` and `detect` read these. See [detection.md](detection.md).
 
-{_parameter_table(DETECTOR_PARAMETERS)}
+{_parameter_table(detector_settings.known_parameters())}
 
 ## Adapter
 

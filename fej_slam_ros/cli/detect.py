@@ -13,12 +13,12 @@ from fej_slam_ros.cli.front_end_run import add_copy_arguments, check_output, wri
 from fej_slam_ros.cli.topic_options import names_in
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS, load_detector
+from fej_slam_ros.ros.parameters.detector_settings import known_parameters, load_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession, LASER_SCAN
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_copy_arguments(parser, DETECTOR_PARAMETERS)
+    add_copy_arguments(parser, known_parameters())
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -9,11 +9,11 @@ Give ROS arguments after --ros-args, the parameters with --params-file FILE or -
 import argparse
 
 from fej_slam_ros.cli.arguments import parameter_help
-from fej_slam_ros.ros.parameters.detector_settings import DETECTOR_PARAMETERS
+from fej_slam_ros.ros.parameters.detector_settings import known_parameters
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.epilog = parameter_help(DETECTOR_PARAMETERS)
+    parser.epilog = parameter_help(known_parameters())
 
 
 def run(arguments: argparse.Namespace) -> int:

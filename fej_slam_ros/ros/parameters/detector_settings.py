@@ -3,12 +3,13 @@
 """Parameters of the detector: what the landmarks and the lasers are like."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, parameters_of, POSITIVE, Range,
-    ROBOT_NAMES)
+    FLAG, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, parameters_of, POSE, POSITIVE,
+    Range, ROBOT_NAMES)
+from fej_slam_ros.core.settings import Triple
 from fej_slam_ros.detection.detector import ScanDetector
 from fej_slam_ros.detection.posts import PostDetector
 from fej_slam_ros.detection.reflectors import ReflectorDetector
@@ -20,6 +21,17 @@ from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
 RADIUS = numbers('a number', Range(0.001, 10.0))
 SIGMA = numbers('a number', Range(1e-4, 10.0))
 COUNT = numbers('an integer', Range(1, 1000), element=int)
+
+
+@dataclass(frozen=True)
+class LaserRobotSettings:
+    """Parameters of one robot."""
+
+    sensor_pose: Triple | None = parameter(
+        None, POSE,
+        'pose of its only laser in the base frame, instead of static transforms; landmarks are'
+        ' then in the frame of the laser: give the estimator the same, and <robot>.sensor_frame',
+        'm, m, rad', 'static transforms')
 
 
 @dataclass(frozen=True)
@@ -50,6 +62,8 @@ class DetectorSettings:
         'topics of the static transforms of the lasers: /tf_static, <robot>/tf_static, or both')
     strict_parameters: bool = parameter(
         False, FLAG, 'a parameter of an unknown name is an error; false: a warning')
+    #: parameters of each robot, in the order of `robots`
+    of_robots: tuple[LaserRobotSettings, ...] = ()
 
     def method(self) -> ScanDetector:
         """Return what finds the landmarks in a single scan."""
@@ -60,13 +74,21 @@ class DetectorSettings:
             self.min_radius, self.max_radius, self.range_sigma, self.max_range)
 
 
-DETECTOR_PARAMETERS: Mapping[str, Parameter] = parameters_of(DetectorSettings)
+def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Parameter]:
+    """Return the parameters of the detector for some robots by their full names."""
+    return parameters_of(DetectorSettings) | {
+        f'{robot}.{name}': definition for robot in robots
+        for name, definition in parameters_of(LaserRobotSettings).items()}
 
 
 def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> DetectorSettings:
     """Return the settings that flat ROS parameters give."""
-    robot_names(values.get('robots', []))
-    settings = DetectorSettings(**given_values(values, DETECTOR_PARAMETERS, warn))
+    robots = robot_names(values.get('robots', []))
+    checked = given_values(values, known_parameters(robots), warn, robots)
+    settings = DetectorSettings(
+        **{name: value for name, value in checked.items() if '.' not in name},
+        of_robots=tuple(
+            LaserRobotSettings(checked.get(f'{robot}.sensor_pose')) for robot in robots))
     if settings.min_radius > settings.max_radius:
         raise UsageError(
             f'min_radius {settings.min_radius:g} is above max_radius {settings.max_radius:g}:'
@@ -85,12 +107,16 @@ def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:
         values = {} if path is None else load_values(path, ['detector'])
     except UsageError:
         values = {}
-    known = {name: value for name, value in values.items() if name in DETECTOR_PARAMETERS}
-    return parse_detector({**known, 'robots': [*robots]})
+    known = known_parameters(robots)
+    given = {name: value for name, value in values.items() if name in known}
+    return parse_detector({**given, 'robots': [*robots]})
 
 
 def detector_values(settings: DetectorSettings) -> dict[str, Value]:
-    """Return the settings as flat ROS parameters."""
-    return {
-        field.name: DETECTOR_PARAMETERS[field.name].kind.write(getattr(settings, field.name))
-        for field in fields(settings)}
+    """Return the settings as flat ROS parameters, without those that are not set."""
+    values = {name: getattr(settings, name) for name in parameters_of(DetectorSettings)} | {
+        f'{robot}.sensor_pose': of_robot.sensor_pose
+        for robot, of_robot in zip(settings.robots, settings.of_robots)
+        if of_robot.sensor_pose is not None}
+    known = known_parameters(settings.robots)
+    return {name: known[name].kind.write(value) for name, value in values.items()}

@@ -65,8 +65,8 @@ class DetectorSession:
     """
     Detectors of all robots: messages in, messages out.
 
-    Landmarks have the stamp of the last beam. They are in the base frame of the robot if the pose
-    of its laser is known, else in the frame of the laser.
+    Landmarks have the stamp of the last beam. They are in the base frame of the robot if static
+    transforms give the pose of its laser, else in the frame of the laser.
 
     Parameters
     ----------
@@ -86,6 +86,9 @@ class DetectorSession:
         self.robots = {
             name: RobotSettings(name, k) for k, name in enumerate(settings.robots, start=1)}
         self._frames = SensorFrames(self.robots, settings.tf_topics)
+        self._sensor_poses = {
+            name: of_robot.sensor_pose
+            for name, of_robot in zip(settings.robots, settings.of_robots)}
         self._detectors = {name: _RobotDetector(settings) for name in settings.robots}
         self.radii: dict[str, deque[float]] = {
             name: deque(maxlen=MAX_RADII) for name in settings.robots}
@@ -196,6 +199,9 @@ class DetectorSession:
         self, name: str, frame: str, scan: LaserScan
     ) -> tuple[LaserScan, Array, str]:
         """Return a scan as of an upright laser, its pose (3,), and the frame to publish in."""
+        given = self._sensor_poses[name]
+        if given is not None:
+            return scan, np.array(given), frame
         pose = self._frames.pose(name, frame)
         unknown = self._detectors[name].unknown_frames
         if pose is not None:
@@ -219,8 +225,10 @@ class DetectorSession:
     def _published(
         self, name: str, scan: StampedScan, landmarks: Detections, is_wanted: IsWanted
     ) -> Iterator[Publication]:
-        state, frame, C = self._detectors[name], scan.frame, rotation(scan.mount[2])
-        points, R = transform(scan.mount, landmarks.points), C @ landmarks.R @ C.T
+        state, frame = self._detectors[name], scan.frame
+        mount = np.zeros(3) if frame == scan.laser else scan.mount
+        C = rotation(mount[2])
+        points, R = transform(mount, landmarks.points), C @ landmarks.R @ C.T
         state.landmarks += len(points)
         stamp = state.stamps.of(scan.end, scan.laser)
         self.radii[name].extend(landmarks.radii.tolist())
@@ -233,7 +241,7 @@ class DetectorSession:
 
 def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
     yield from _conditions_of_use(name, state)
-    yield from _conditions_of_place(state)
+    yield from _conditions_of_place(name, state)
     yield from _conditions_of_odometry(name, state)
     if state.timing.fault:
         yield Condition(
@@ -264,13 +272,14 @@ def _conditions_of_use(name: str, state: _RobotDetector) -> Iterator[Condition]:
         yield Condition('no_scans', 'no scans', f'publish them on {name}/scan')
 
 
-def _conditions_of_place(state: _RobotDetector) -> Iterator[Condition]:
+def _conditions_of_place(name: str, state: _RobotDetector) -> Iterator[Condition]:
     if state.unknown_frames:
         yield Condition(
             'laser_frame',
             f'no static transform from the frame {min(state.unknown_frames)!r} of the scans to the'
             ' base frame',
-            'publish it on /tf_static, or give the estimator sensor_frame and sensor_pose')
+            f'publish it on /tf_static, or set {name}.sensor_pose here and at the estimator, and'
+            f' {name}.sensor_frame there')
     if not state.has_frame:
         yield Condition(
             'laser_frame', 'the scans have no frame_id, so that the laser is taken to be in the'

@@ -81,6 +81,36 @@ def test_landmarks_of_a_laser_at_an_unknown_place_are_in_its_frame_and_the_cure_
     assert '/tf_static' in warning
 
 
+def test_posts_seen_by_a_turned_laser_stand_still_if_a_parameter_says_where_it_is():
+    # The robot drives ahead; its laser looks to the left, so that posts pass by in its frame.
+    session = session_of(static_time=0.8, **{'r1.sensor_pose': [0.0, 0.0, np.pi / 2]})
+    messages = []
+    for ms in range(0, 2000, 100):
+        x = 0.5 * ms * 1e-3
+        seen_now = scan_of(POSTS, beams=1440, sigma=0.005, seed=ms, pose=(x, 0.0, np.pi / 2))
+        messages += [
+            raw('r1/odom', odometry_message(ms, (x, 0.0, 0.0))), scan_message(ms, scan=seen_now)]
+
+    *_, last = run(session, *messages)
+
+    # In the frame of the laser, where an estimator with the same parameter expects them.
+    assert last.header.frame_id == 'r1/laser'
+    assert distances(transform(np.array([x, 0.0, np.pi / 2]), points(last)), POSTS[:, :2]) == (
+        pytest.approx([0.0, 0.0], abs=0.03))
+    (_, warning, _), = session.counts()
+    assert warning == ''
+
+
+def test_a_place_given_by_a_parameter_overrides_the_static_transforms():
+    link = mounts(('r1/base_link', 'r1/laser', (0.3, 0.1, 0.5), UPRIGHT))
+
+    message, = run(
+        session_of(**{'r1.sensor_pose': PLACE.tolist()}), link,
+        raw('r1/odom', odometry_message(0)), scan_message())
+
+    assert message.header.frame_id == 'r1/laser'
+
+
 def test_one_of_two_lasers_at_an_unknown_place_is_named():
     session = session_of()
     front = mounts(('r1/base_link', 'r1/front', (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
