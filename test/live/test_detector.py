@@ -93,6 +93,20 @@ def test_work_without_end_delays_neither_messages_nor_the_end_of_a_node():
         node.destroy_node()
 
 
+def test_the_log_names_the_topics_that_are_read_after_remapping():
+    with live_helpers.Domain() as domain:
+        detector = domain.start(
+            'detector', '--ros-args', '-r', '__ns:=/fleet', '-p', 'robots:=[r1, r2]',
+            '-r', 'r1/scan:=/hokuyo')
+        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+        domain.until(lambda: reports)
+        _, log = domain.finish(detector, signal.SIGINT)
+
+    # Topics of transforms follow, where tf2_msgs is installed.
+    assert (
+        'active: robots r1, r2; inputs /hokuyo, /fleet/r2/{scan,odom}, /fleet/r1/odom') in log
+
+
 def test_reports_name_the_namespace_and_a_missing_clock():
     with live_helpers.Domain() as domain:
         domain.start('detector', '--ros-args', '-r', '__ns:=/fleet', '-p', 'robots:=[r1]',

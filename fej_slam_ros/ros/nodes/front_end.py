@@ -60,6 +60,11 @@ def _serve(node: 'FrontEndNode', executor: Executor) -> None:
     node.work()
 
 
+def _full_name(topic: str) -> str:
+    """Return the name of an input; transforms for the whole team are outside of the namespace."""
+    return topic if '/' in topic else f'/{topic}'
+
+
 class FrontEndNode(ParameterNode):
     """
     A node that publishes the results of its front end; its parameters are read-only.
@@ -98,9 +103,13 @@ class FrontEndNode(ParameterNode):
         self._outputs = {
             topic: self.create_publisher(message_class(type_name), topic, front_end_qos(topic))
             for topic, type_name in front_end.outputs.items()}
-        for topic, type_name in front_end.topics.items():
-            if type_name != TF_TYPE or is_installed(TF_TYPE):
-                self._subscribe(topic, type_name)
+        inputs = {
+            _full_name(topic): (topic, type_name) for topic, type_name in front_end.topics.items()
+            if type_name != TF_TYPE or is_installed(TF_TYPE)}
+        for name, (topic, type_name) in inputs.items():
+            self._subscribe(name, topic, type_name)
+        names = log_writer.grouped(map(self.resolve_topic_name, inputs))
+        self.get_logger().info(f'active: robots {", ".join(front_end.robots)}; inputs {names}')
         if not is_installed(TF_TYPE):
             self.get_logger().info(
                 'the places of sensors are not read from /tf_static because tf2_msgs is missing:'
@@ -120,9 +129,7 @@ class FrontEndNode(ParameterNode):
         self._publish_until(monotonic() + MAX_LAST_STEPS_TIME, left)
         wait_for_arrival(self._outputs.values())
 
-    def _subscribe(self, topic: str, type_name: str) -> None:
-        # Transforms for the whole team are outside of the namespace of the node.
-        name = f'/{topic}' if '/' not in topic else topic
+    def _subscribe(self, name: str, topic: str, type_name: str) -> None:
         prepare(type_name)
         self.create_subscription(
             message_class(type_name), name, partial(self._receive, topic, type_name),
