@@ -21,15 +21,18 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from scipy.io import savemat
 
 from fej_slam_ros.cli.main import NODES, VERBS
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.parameters.detector_settings import parse_detector
+from fej_slam_ros.ros.session.detector_session import DetectorSession
 from helpers.mrclam import STRAIGHT, write_set
 from helpers.paths import ROOT
 from helpers.processes import end_session, start_verb, until
-from helpers.ros import run_verb
+from helpers.ros import run_verb, write_parameters
 
 PAGES = [
     'README.md', 'CONTRIBUTING.md', 'bags/README.md',
@@ -58,6 +61,7 @@ NOT_RUN = {
     'ros2 bag': 'not on PyPI; topics are checked',
     'ros2 security': 'neither sros2 nor DDS-Security is on PyPI',
     'ros2 run rmw_zenoh_cpp': 'not on PyPI',
+    'ros2 run apriltag_ros': 'not on PyPI',
     'RMW_IMPLEMENTATION=rmw_zenoh_cpp': 'not on PyPI',
     'ros2 run fej_slam_ros estimator --ros-args --enclave': 'as ros2 security',
     'fastdds discovery': 'live/test_discovery.py starts a server, on this machine',
@@ -200,8 +204,19 @@ class Shell:
         assert process.returncode == (2 if secured else 0), errors
         assert not secured or "doesn't have the security libraries" in errors
 
+    def drive(self):
+        """Return a recording of two robots with lasers."""
+        folder, world = self.folder / 'drive', self.folder / 'world.yaml'
+        if not folder.exists():
+            write_parameters(
+                world, environment='posts', robots=['tb4_1', 'tb4_2'], loops=1, beams=360)
+            assert run_verb('simulate', '--params', world, '--output', folder) == 0
+        return str(folder)
+
     def replaced(self, word, words):
         """Return a value for a word that the reader is to replace."""
+        if word == 'drive':
+            return self.drive()
         if word == 'FOLDER':
             return str(self.data('raw' if '--raw' in words else words[1]))
         return {
@@ -230,18 +245,29 @@ def check_launch(words):
     _, package, file, *given = words
     assert package == 'fej_slam_ros'
     source = (ROOT / 'launch' / file).read_text(encoding='utf-8')
-    calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
-    declared = {
-        call.args[0].value for call in calls
-        if ast.unparse(call.func) == 'DeclareLaunchArgument'}
-    assert {word.partition(':=')[0] for word in given} <= declared
+    assert {word.partition(':=')[0] for word in given} <= set(declared_arguments(file, source))
+
+
+def declared_arguments(file, source):
+    """Yield the names of the arguments of a launch file in Python or YAML."""
+    if file.endswith('.yaml'):
+        yield from (
+            action['arg']['name'] for action in YAML(typ='safe').load(source)['launch']
+            if 'arg' in action)
+    else:
+        calls = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Call)]
+        yield from (
+            call.args[0].value for call in calls
+            if ast.unparse(call.func) == 'DeclareLaunchArgument')
 
 
 def check_topics(words):
     page = (ROOT / 'docs' / 'topics.md').read_text(encoding='utf-8')
+    of_sensors = {*DetectorSession(parse_detector({'robots': ['r1']})).topics, 'r1/tf'}
     for topic in (word for word in words if word.startswith('/')):
-        general = re.sub(r'^/(estimator|smoother)/', '~/', re.sub(r'^/r\d/', '<robot>/', topic))
-        assert f'| `{general}` |' in page, topic
+        of_robot = re.sub(r'^/(r|tb4_)\d/', '<robot>/', topic)
+        general = re.sub(r'^/(estimator|smoother)/', '~/', of_robot)
+        assert f'| `{general}` |' in page or general.replace('<robot>', 'r1') in of_sensors, topic
 
 
 CHECKS = {
