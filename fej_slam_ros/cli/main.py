@@ -28,6 +28,8 @@ from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 NODES = ('estimator', 'simulator', 'smoother', 'detector', 'adapter')
 #: How nodes are given their arguments.
 NODE_ARGUMENTS = 'write --ros-args --params-file FILE, -p NAME:=VALUE or -r __ns:=/NAME'
+#: How other verbs with a parameter file are given theirs.
+FILE_PARAMETERS = 'parameters are no options: write them into the file of --params'
 VERBS = (
     *NODES, 'simulate', 'detect', 'adapt', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate',
     'play', 'view', 'convert', 'export', 'reproduce', 'benchmark', 'demo')
@@ -158,7 +160,9 @@ def _call(command: str, verb: str, words: list[str]) -> int:
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
     arguments, unknown = parser.parse_known_args(words[:ros])
     if unknown:
-        cure = f': {NODE_ARGUMENTS}' if verb in NODES else ''
+        cure = (
+            f': {NODE_ARGUMENTS}' if verb in NODES else
+            f': {FILE_PARAMETERS}' if '--params' in parser.format_usage() else '')
         parser.error(f'unrecognized arguments: {" ".join(unknown)}{cure}')
     arguments.ros_args = words[ros:]
     status: int = module.run(arguments)

@@ -187,6 +187,19 @@ def test_options_of_ros_before_ros_args_are_named_with_the_way_to_give_them(verb
     assert ('write --ros-args --params-file FILE' in said) == (verb in NODES)
 
 
+@pytest.mark.parametrize(('verb', 'has_parameters'), [('simulate', True), ('view', False)])
+def test_a_parameter_given_as_an_option_is_named_with_the_way_to_give_it(
+    verb, has_parameters, capsys
+):
+    required = ['--output', 'out'] if verb == 'simulate' else []
+
+    assert run_verb(verb, *required, '--seed', '3') == 2
+
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert 'unrecognized arguments: --seed 3' in said
+    assert said.endswith('write them into the file of --params') == has_parameters
+
+
 @pytest.mark.parametrize('verb', ['doctor', 'evaluate', 'play'])
 def test_a_path_that_no_file_can_have_is_one_sentence(capsys, verb):
     output = ['--output', 'out'] if verb == 'evaluate' else []
