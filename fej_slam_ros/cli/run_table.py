@@ -5,6 +5,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.tables import number, text_table
 
 RUN_HEADINGS = (
@@ -13,7 +14,11 @@ RUN_HEADINGS = (
 
 def run_table(summary: Mapping[str, Any]) -> str:
     """Return a summary as text: a row per robot, the map, rejections, robots outside the map."""
-    lines = [text_table(RUN_HEADINGS, (_row(name, summary) for name in summary['robots'] if name))]
+    unknown = {
+        name: robot['received'] for name, robot in summary['robots'].items()
+        if 0 < robot['received'] == robot['refusals'].get(RejectionReason.UNKNOWN_ROBOT.value)}
+    lines = [text_table(RUN_HEADINGS, (
+        _row(name, summary) for name in summary['robots'] if name and name not in unknown))]
     landmarks = f'{summary["landmarks"]} landmarks in map'
     if 'landmarks' in summary.get('rmse', {}):
         landmarks += (
@@ -23,6 +28,9 @@ def run_table(summary: Mapping[str, Any]) -> str:
         f'{reason} {count}' for reason, count in summary['counts'].items()
         if count and reason not in ('used', 'released_without'))
     lines += ['', landmarks, f'rejected messages and observations: {rejected or "none"}']
+    lines += [
+        f'{name} is not in robots: its {count} messages are rejected'
+        for name, count in unknown.items() if name]
     lines += [f'{name} is not in map: {why}' for name, why in summary['not_in_map'].items()]
     if summary['depends_on_arrival']:
         lines.append('the result depends on the order of arrival')

@@ -4,7 +4,9 @@
 
 from fej_slam_ros.cli.run_table import run_table
 
-ROBOT = {'frame': 'map', 'steps': 10, 'received': 20, 'used': 19, 'refused': 1}
+ROBOT = {
+    'frame': 'map', 'steps': 10, 'received': 20, 'used': 19, 'refused': 1,
+    'refusals': {'late': 1}}
 SUMMARY = {
     'robots': {'r1': ROBOT, 'r2': ROBOT | {'frame': 'r2/map', 'steps': 7}},
     'counts': {'used': 38, 'late': 2, 'gated': 0, 'bad_id': 1, 'released_without': 0},
@@ -53,6 +55,18 @@ def test_a_run_without_rejections_says_so():
     counts = {'used': 38, 'late': 0, 'released_without': 3}
 
     assert 'rejected messages and observations: none' in lines_of(counts=counts)
+
+
+def test_a_robot_that_was_never_in_the_team_has_no_row_but_a_reason():
+    stranger = {
+        'frame': 'r9/map', 'steps': 0, 'received': 5, 'used': 0, 'refused': 5,
+        'refusals': {'unknown_robot': 5}}
+    left = stranger | {'refusals': {'unknown_robot': 3, 'left': 2}}
+
+    lines = lines_of(robots={'r1': ROBOT, 'r8': left, 'r9': stranger})
+
+    assert [line.split()[0] for line in lines[1:3]] == ['r1', 'r8']
+    assert 'r9 is not in robots: its 5 messages are rejected' in lines
 
 
 def test_rejections_without_a_robot_have_no_row():
