@@ -86,7 +86,7 @@ def _draw_gain(axes: Axes, solution: CsamSolution, joint: JointMap) -> None:
 def _draw_without_association(axes: Axes, solution: CsamSolution, joint: JointMap) -> None:
     """Draw the map of both robots before landmarks are associated."""
     draw_map(axes, before_association(solution.maps, joint))
-    axes.set_title("(b) joined by observations of Q alone, without association, in P's frame")
+    axes.set_title("(b) in P's frame, joined by observations of Q alone")
 
 
 #: Content of the second panel in each experiment.
