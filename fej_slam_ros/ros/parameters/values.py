@@ -3,7 +3,7 @@
 """Checks of flat ROS parameters for settings of any kind; a mistake is a UsageError."""
 
 from array import array
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 import logging
@@ -32,7 +32,7 @@ MAX_ROBOTS = 100
 MAX_WARNINGS = 20
 #: Least similarity (of ``difflib``, from 0 to 1) of a misspelled name and the one that is meant.
 #: Names of parameters of other nodes, with which files are shared, are less like known ones:
-#: ``<robot>.sensor_frame`` is 0.79 like ``<robot>.base_frame``.
+#: ``range_sigma_growth`` of the adapter is 0.76 like ``range_sigma`` of the detector.
 LEAST_SIMILARITY = 0.8
 #: Maximum length of a name or value in a message.
 MAX_SHOWN = 500
@@ -117,10 +117,19 @@ def unknown_parameter(
     name = shortened(name)
     owner, dot, _ = name.partition('.')
     remarks = [f'{owner!r} is not in robots'] if dot and robots and owner not in robots else []
-    longer = sorted((other for other in known if other.startswith(name)), key=len)
-    near = [*longer, *get_close_matches(name, known, n=1, cutoff=LEAST_SIMILARITY)]
-    remarks += [f'did you mean {meant!r}?' for meant in near[:1]]
+    remarks += [f'did you mean {meant!r}?' for meant in _meant(name, known)[:1]]
     return f'unknown parameter {name!r}{effect}' + (f': {", ".join(remarks)}' if remarks else '')
+
+
+def _meant(name: str, known: Iterable[str]) -> list[str]:
+    """Return known names that a misspelled one may stand for, the nearest first."""
+    owner, _, field = name.rpartition('.')
+    # Names of robots are left out, since two names with the same long one are always alike.
+    by_field = {other.rpartition('.')[2]: other for other in sorted(
+        known, key=lambda other: other.rpartition('.')[0] == owner)}
+    longer = sorted((other for other in by_field if other.startswith(field)), key=len)
+    alike = get_close_matches(field, by_field, n=1, cutoff=LEAST_SIMILARITY)
+    return [by_field[found] for found in (*longer, *alike)]
 
 
 def shortened(text: str) -> str:

@@ -87,6 +87,8 @@ def test_no_name_is_proposed_for_an_unknown_parameter_that_is_like_none():
         "unknown parameter 'r7.usb_port' is ignored: 'r7' is not in robots"]
 
 
+#: With long names, of which those of two parameters have much in common.
+TEAM = ['turtlebot_1', 'turtlebot_2']
 PARSERS = {
     'estimator': (parse, known_parameters),
     'detector': (parse_detector, detector_settings.known_parameters),
@@ -96,11 +98,11 @@ PARSERS = {
 @pytest.mark.parametrize(('node', 'other'), permutations(PARSERS, 2))
 def test_no_name_is_proposed_for_a_parameter_of_another_node_in_a_shared_file(node, other):
     parser, names = PARSERS[node]
-    unknown = PARSERS[other][1](['r1', 'r2']).keys() - names(['r1', 'r2'])
+    unknown = PARSERS[other][1](TEAM).keys() - names(TEAM)
     warnings = []
 
     for name in unknown:
-        parser({'robots': ['r1', 'r2'], name: 0}, warnings.append)
+        parser({'robots': TEAM, name: 0}, warnings.append)
 
     assert set(warnings) == {f'unknown parameter {name!r} is ignored' for name in unknown}
 
