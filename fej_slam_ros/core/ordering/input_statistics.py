@@ -3,6 +3,7 @@
 """Statistics of the input: every message and observation is counted as used or rejected."""
 
 from collections import Counter, defaultdict, deque
+from copy import copy
 
 from fej_slam_ros.core.records import AnyScan, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -75,16 +76,13 @@ class InputStatistics:
         self.restart_reasons[robot] = reason
 
     def take_over(self, robot: str, other: 'InputStatistics') -> None:
-        """Replace the counts of a robot, and why it restarted, by those of other statistics."""
-        for own, counts in (
-                (self.received, other.received), (self.rejected, other.rejected),
-                (self.observations_used, other.observations_used),
-                (self.relocalized, other.relocalized),
-                (self.released_without, other.released_without)):
-            own[robot] = counts[robot]
-        self.rejection_counts[robot] = other.rejection_counts[robot].copy()
-        if robot in other.restart_reasons:
-            self.restart_reasons[robot] = other.restart_reasons[robot]
+        """Replace all counts of a robot, and why it restarted, by those of other statistics."""
+        for name, own in vars(self).items():
+            # The waiting rejections are no count.
+            if isinstance(own, dict):
+                own.pop(robot, None)
+                if robot in vars(other)[name]:
+                    own[robot] = copy(vars(other)[name][robot])
 
     def total(self, reason: RejectionReason) -> int:
         """Return the number of rejections of all robots for a reason."""

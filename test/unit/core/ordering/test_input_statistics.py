@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every message and observation is counted once, as used or rejected."""
 
+from collections import Counter
+
 import pytest
 
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics, MAX_PENDING_REJECTIONS
@@ -78,6 +80,30 @@ def test_the_counts_of_a_robot_are_replaced_by_those_taken_over_and_no_others():
     assert statistics.rejection_counts == {'r1': {RejectionReason.LATE: 2}}
     assert (statistics.relocalized, statistics.restart_reasons) == ({'r1': 1}, {'r1': 'lost'})
     assert (statistics.observations_used, statistics.released_without) == ({'r1': 3}, {'r1': 4})
+
+
+def test_no_count_of_a_robot_is_left_out_when_it_is_taken_over():
+    statistics, other = InputStatistics(), InputStatistics()
+    counts = [name for name, counted in vars(other).items() if isinstance(counted, Counter)]
+    for number, name in enumerate(counts, start=1):
+        vars(other)[name]['r1'] = number
+        vars(statistics)[name].update(r1=100, r2=200)
+
+    statistics.take_over('r1', other)
+
+    taken = {name: (vars(statistics)[name]['r1'], vars(statistics)[name]['r2']) for name in counts}
+    assert len(counts) >= 8
+    assert taken == {name: (number, 200) for number, name in enumerate(counts, start=1)}
+
+
+def test_later_rejections_of_a_robot_do_not_count_where_it_was_taken_over():
+    statistics, other = InputStatistics(), InputStatistics()
+    other.reject_message('r1', 5, RejectionReason.LATE)
+    statistics.take_over('r1', other)
+
+    other.reject_message('r1', 6, RejectionReason.LATE)
+
+    assert statistics.rejection_counts == {'r1': {RejectionReason.LATE: 1}}
 
 
 @pytest.mark.parametrize('reason', RejectionReason)
