@@ -37,7 +37,7 @@ from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
     AnyScan, LandmarkKey, Motion, NO_ID, PriorMap, Record, Scan, Step, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import check_values, RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
 from fej_slam_ros.errors import UserError
 
@@ -57,7 +57,8 @@ class Estimator(TeamInput):
 
     Parameters
     ----------
-    settings : parameters of the estimation, with the robots to begin with
+    settings : parameters of the estimation, with the robots to begin with; an impossible value is
+        a UsageError
     prior : landmarks known in ``map`` beforehand, if any
 
     Attributes
@@ -78,6 +79,7 @@ class Estimator(TeamInput):
     settings: Settings
 
     def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
+        check_values(settings)
         super().__init__(settings)
         # Ground truth lists landmarks by ID.
         self.needs_ids = LINEARIZATIONS[settings.filter].needs_truth

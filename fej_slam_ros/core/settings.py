@@ -8,13 +8,16 @@ a `parameter` is a ROS parameter of the same name. ``Common...`` classes hold wh
 estimator and the smoother read; their subclasses add what only the estimator reads.
 """
 
-from dataclasses import dataclass, field, KW_ONLY
+from dataclasses import dataclass, field, fields, KW_ONLY
+
+import numpy as np
 
 from fej_slam_ros.core.parameter_kinds import (
     FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE, one_of, Parameter, parameter,
-    POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY, Range, ROBOT_ID, ROBOT_NAMES, TEXT,
-    TURN_BIAS)
+    parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY, Range, ROBOT_ID,
+    ROBOT_NAMES, TEXT, TURN_BIAS)
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.errors import UsageError
 
 Triple = tuple[float, float, float]
 
@@ -193,3 +196,31 @@ class EstimatorSettings(CommonSettings):
 @dataclass(frozen=True)
 class Settings(EstimatorSettings, SmootherSettings):
     """The settings of either of them."""
+
+
+def check_values(settings: Settings) -> None:
+    """Raise a UsageError for an impossible value of settings or of one of their robots."""
+    _check_kinds(settings, '')
+    for robot in settings.robots:
+        _check_kinds(robot, f'{robot.name}.')
+    check_anchor(settings)
+
+
+def check_anchor(settings: CommonSettings) -> None:
+    """Raise a UsageError for an anchor that is none of the robots."""
+    names = [robot.name for robot in settings.robots]
+    if settings.anchor not in {'', *names}:
+        raise UsageError(
+            f"'anchor' must be one of {', '.join(map(repr, names))}, not {settings.anchor!r}")
+
+
+def _check_kinds(settings: Settings | RobotSettings, owner: str) -> None:
+    """Raise a UsageError for a value that is not of the kind of its parameter."""
+    optional = {f.name for f in fields(settings) if f.default is None}
+    for name, declared in parameters_of(type(settings)).items():
+        value = getattr(settings, name)
+        if name == 'robots' or (value is None and name in optional):
+            continue
+        # In Python, arrays and numbers of numpy are values too.
+        if declared.kind.read(np.asarray(value).tolist()) is None:
+            raise UsageError(f"'{owner}{name}' must be {declared.kind.expected}, not {value!r}")

@@ -28,7 +28,7 @@ from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import RobotSettings, SmootherSettings
+from fej_slam_ros.core.settings import check_anchor, RobotSettings, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
@@ -61,6 +61,9 @@ class TeamSmoother(TeamInput):
     settings: SmootherSettings
 
     def __init__(self, settings: SmootherSettings, solve_every: int = SOLVE_EVERY) -> None:
+        # The map of a single robot stays in its own frame.
+        if len(settings.robots) > 1:
+            check_anchor(settings)
         super().__init__(settings)
         self.between_keyframes: Counter[str] = Counter()
         self.odometry: dict[str, Array] = {}
