@@ -200,7 +200,7 @@ parameters of its node can change.
 ## Estimation, estimator and smoother
 
 The parameters of estimation decide the result. To restore a checkpoint they must have the values
-that the checkpoint was made with.
+that the node was started with, see [running.md](running.md#save-and-restore-a-run).
 
 {_parameter_table(
     {n: p for n, p in smoother.items() if n in estimator and n not in of_node and '.' not in n})}

@@ -5,6 +5,7 @@
 import argparse
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+import logging
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -21,7 +22,7 @@ from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.ros.files import bags, run_results
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import Message
-from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.parameters import changes_before, RunSettings
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
 
@@ -132,6 +133,10 @@ def process(
             return session
 
         session = start(settings)
+        if changed := changes_before(session.settings):
+            logging.getLogger(__name__).warning(
+                'the run of the checkpoint began with changed parameters, which stay in force: %s',
+                changed)
         sink: Sink[SessionT] = Sink()
         if arguments.write_bag:
             with postponed():

@@ -13,6 +13,8 @@ from helpers.processes import end_session, until
 from helpers.ros import run_verb, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
+services = optional('rcl_interfaces.srv')
+Parameter = optional('rclpy.parameter').Parameter
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -85,6 +87,33 @@ def test_an_estimator_killed_while_saving_and_restarted_ends_as_if_undisturbed(
     assert not live['depends_on_arrival']
     assert [live['robots'][name]['steps'] for name in ROBOTS] == [
         replayed['robots'][name]['steps'] for name in ROBOTS]
+
+
+@pytest.mark.parametrize('node', ['estimator', 'smoother'])
+def test_a_node_killed_after_its_team_changed_and_a_reset_comes_back_by_itself(
+    domain, tmp_path, node,
+):
+    saved = str(tmp_path / 'run.checkpoint')
+    team = write_parameters(
+        tmp_path / 'team.yaml', robots=ROBOTS, checkpoint=saved, restore=saved)
+    change = Parameter('robots', value=['r1', 'r2', 'r3']).to_parameter_msg()
+    words = node, '--ros-args', '--params-file', team
+
+    first = domain.start(*words)
+    response = domain.ask(
+        f'/{node}/set_parameters', services.SetParameters, parameters=[change])
+    assert response.results[0].successful
+    assert domain.call(f'/{node}/reset')
+    assert domain.call(f'/{node}/save')
+    end_session(first)
+    again = domain.start(*words)
+    topics = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
+    domain.until(lambda: any(
+        status.name == f'{node}: r3' for report in topics for status in report.status))
+    status, errors = domain.finish(again, signal.SIGINT)
+
+    assert status == 0, errors
+    assert "robots = ['r1', 'r2', 'r3'], not ['r1', 'r2']; to use the given ones" in errors
 
 
 def test_a_failed_restore_exits_with_one_sentence(domain, tmp_path):

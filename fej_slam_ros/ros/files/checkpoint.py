@@ -30,14 +30,14 @@ from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.parameters import (
-    deciding, known_parameters, NodeSettings, ParameterChange, parse, RunSettings, SMOOTHER,
-    with_values)
+    deciding, estimation_of, known_parameters, NodeSettings, ParameterChange, RunSettings,
+    SMOOTHER, with_values)
 from fej_slam_ros.ros.session.inputs import Inputs
 
 TITLE_START = b'fej_slam_ros checkpoint, '
 #: Number of the file format: the three lines, and how JSON refers to arrays. Changes of the stored
 #: classes need no new number, since the digest in the title covers them.
-FILE_FORMAT = 7
+FILE_FORMAT = 8
 
 #: Whose state a checkpoint has, as the key of that.
 ESTIMATOR_KEY, SMOOTHER_KEY = 'estimator', 'smoother'
@@ -46,7 +46,7 @@ Values = dict[str, Any]
 
 
 def content_of(
-    settings: Settings, estimator: Estimator, inputs: Inputs, prior: PriorMap | None,
+    settings: RunSettings, estimator: Estimator, inputs: Inputs, prior: PriorMap | None,
     changes: Sequence[ParameterChange],
 ) -> bytes:
     """
@@ -57,15 +57,17 @@ def content_of(
 
     """
     return _sealed({
-        'settings': _deciding(settings, prior), 'inputs': inputs.snapshot(),
+        'settings': _deciding(settings.estimation, prior),
+        'given': _deciding(settings.given(), prior), 'inputs': inputs.snapshot(),
         'changes': [change.as_json() for change in changes],
         ESTIMATOR_KEY: core.snapshot(estimator)})
 
 
-def content_of_smoother(settings: Settings, team: TeamSmoother, inputs: Inputs) -> bytes:
+def content_of_smoother(settings: RunSettings, team: TeamSmoother, inputs: Inputs) -> bytes:
     """Return the content of a checkpoint of a smoother with its settings."""
     return _sealed({
-        'settings': _deciding_smoother(settings), 'inputs': inputs.snapshot(),
+        'settings': _deciding_smoother(settings.estimation),
+        'given': _deciding_smoother(settings.given()), 'inputs': inputs.snapshot(),
         SMOOTHER_KEY: core.snapshot(team)})
 
 
@@ -87,34 +89,34 @@ def write(path: Path, content: bytes) -> None:
 
 def load(
     path: Path, settings: RunSettings, prior: PriorMap | None = None
-) -> tuple[Estimator, Inputs, list[ParameterChange]]:
+) -> tuple[RunSettings, Estimator, Inputs, list[ParameterChange]]:
     """
-    Return the estimator of a checkpoint, its inputs, and the changes of its parameters.
+    Return the settings of a saved run, its estimator and inputs, and its changes of parameters.
 
-    The settings must be those that the run was started with; the changed ones are in force.
+    The given settings must be those that the run, or the process that saved it, was started with;
+    the changed ones are in force.
 
     """
     with _refusing_malformed(path):
         stored = _stored(path, ESTIMATOR_KEY)
-        _refuse_other_settings(path, stored['settings'], _deciding(settings.estimation, prior))
+        settings = _of_run(path, stored, settings, _deciding(settings.estimation, prior))
         changes = [ParameterChange(**change) for change in stored['changes']]
         estimator = core.restore(
             stored[ESTIMATOR_KEY], _present(settings.estimation, changes), Estimator)
         inputs = Inputs(estimator, settings.node)
         inputs.restore(stored['inputs'])
-    return estimator, inputs, changes
+    return settings, estimator, inputs, changes
 
 
-def load_smoother(path: Path, settings: RunSettings) -> tuple[TeamSmoother, Inputs]:
-    """Return the smoother of a checkpoint and its inputs, for the settings of its run."""
+def load_smoother(path: Path, settings: RunSettings) -> tuple[RunSettings, TeamSmoother, Inputs]:
+    """Return the settings of a saved run, its smoother and its inputs, as of `load`."""
     with _refusing_malformed(path):
         stored = _stored(path, SMOOTHER_KEY)
-        _refuse_other_settings(
-            path, stored['settings'], _deciding_smoother(settings.estimation))
+        settings = _of_run(path, stored, settings, _deciding_smoother(settings.estimation))
         team = core.restore(stored[SMOOTHER_KEY], settings.estimation, TeamSmoother)
         inputs = Inputs(team, settings.node)
         inputs.restore(stored['inputs'])
-    return team, inputs
+    return settings, team, inputs
 
 
 def load_map(path: Path) -> PriorMap:
@@ -122,7 +124,7 @@ def load_map(path: Path) -> PriorMap:
     with _refusing_malformed(path):
         stored = _stored(path, ESTIMATOR_KEY)
         changes = [ParameterChange(**change) for change in stored['changes']]
-        settings = _present(parse(stored['settings']).estimation, changes)
+        settings = _present(estimation_of(stored['settings']), changes)
         team = core.restore(stored[ESTIMATOR_KEY], settings, Estimator).groups.team
     if team.map().has_shared_ids():
         return team.prior_map()
@@ -225,6 +227,22 @@ def _verified(path: Path) -> bytes:
         raise UserError(
             f'{path} is damaged: its checksum does not match; restore another checkpoint')
     return content
+
+
+def _of_run(path: Path, stored: Values, settings: RunSettings, given: Values) -> RunSettings:
+    """
+    Return the settings of a saved run for those that are given, whose deciding values are `given`.
+
+    A process that ended by itself is started again as before, also if its parameters were changed
+    and a later run had begun with the changed ones.
+
+    """
+    if given == stored['settings']:
+        return settings
+    _refuse_other_settings(path, stored['given'], given)
+    # Parameters of the other node are as they are given.
+    values = deciding(settings.estimation) | stored['settings']
+    return settings.followed_by(estimation_of(values), settings.node)
 
 
 def _refuse_other_settings(path: Path, saved: Values, given: Values) -> None:

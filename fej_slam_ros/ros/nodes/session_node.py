@@ -206,7 +206,7 @@ class SessionNode(SettingsNode):
                 parameters.with_node_values(self._session.settings.node, checked))
         else:
             # The next run has another output folder than the first, and restores nothing.
-            self._next_settings = RunSettings(
+            self._next_settings = self._next_settings.followed_by(
                 estimation, parameters.with_node_values(self._next_settings.node, checked))
         if self.is_active:
             self._map_timer.timer_period_ns = round(node.map_period * NS)
@@ -247,6 +247,10 @@ class SessionNode(SettingsNode):
             self.get_logger().info(
                 f'the run continues from {settings.node.restore}' if self._session.is_restored else
                 f'a new run begins: {settings.node.restore} does not exist yet')
+            if changed := parameters.changes_before(self._session.settings):
+                self.get_logger().warning(
+                    f'the run began with changed parameters, which stay in force: {changed}; to'
+                    f' use the given ones, remove {settings.node.restore} before the start')
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._session.log.topic_name = self.resolve_topic_name
         self._maps.drop()

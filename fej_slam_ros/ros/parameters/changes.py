@@ -14,7 +14,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import CommonNodeSettings, NodeSettings, RunSettings
 from fej_slam_ros.ros.parameters.parsing import check_files, check_peer_files, team_names
 from fej_slam_ros.ros.parameters.schema import (
-    Audience, ESTIMATOR, known_parameters, QOS_OVERRIDES, SMOOTHER, Value)
+    Audience, deciding, ESTIMATOR, known_parameters, QOS_OVERRIDES, SMOOTHER, Value)
 from fej_slam_ros.ros.parameters.values import (
     checked_values, RENAMED_PARAMETERS, robot_names, shortened, unknown_parameter)
 
@@ -74,6 +74,14 @@ def checked_changes(
     if audience is SMOOTHER and node.peers:
         check_peer_files(node)
     return checked
+
+
+def changes_before(settings: RunSettings) -> str:
+    """Return what differs in a run from what its process was started with, '' if nothing does."""
+    given, present = deciding(settings.given()), deciding(settings.estimation)
+    return ', '.join(
+        f'{name} = {present[name]!r}, not {given[name]!r}' for name in given
+        if name in present and present[name] != given[name])
 
 
 def with_node_values(node: NodeSettings, values: Mapping[str, Any]) -> NodeSettings:

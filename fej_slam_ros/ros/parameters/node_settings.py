@@ -103,7 +103,17 @@ class NodeSettings(EstimatorNodeSettings, SmootherNodeSettings):
 
 @dataclass(frozen=True)
 class RunSettings:
-    """All that a parameter file gives."""
+    """All that a parameter file gives, or what has become of it in a later run of a process."""
 
     estimation: Settings  #: what the result depends on
     node: NodeSettings = field(default_factory=NodeSettings)  #: the rest
+    #: the estimation that the process was started with, None if it is that of this run
+    at_launch: Settings | None = None
+
+    def given(self) -> Settings:
+        """Return the settings of estimation that the process was started with."""
+        return self.at_launch or self.estimation
+
+    def followed_by(self, estimation: Settings, node: NodeSettings) -> 'RunSettings':
+        """Return the settings of a later run of the same process."""
+        return RunSettings(estimation, node, self.given())

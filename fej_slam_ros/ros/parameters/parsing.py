@@ -12,7 +12,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import NodeSettings, RunSettings
 from fej_slam_ros.ros.parameters.schema import known_parameters
 from fej_slam_ros.ros.parameters.values import (
-    given_values, robot_names, Warn, warn_once, with_current_names)
+    checked_values, given_values, robot_names, Warn, warn_once, with_current_names)
 
 #: Values by name of the team, whose owner is '', and of each robot.
 GivenValues = Mapping[str, Mapping[str, Any]]
@@ -23,18 +23,21 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     values = with_current_names(values, warn)
     robots = team_names(values)
     known = known_parameters(robots)
-    given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
-    for name, value in given_values(values, known, warn, robots).items():
-        owner, _, field = name.rpartition('.')
-        given[owner][field] = value
-    of_node = given[''].keys() & parameters_of(NodeSettings)
-    node = NodeSettings(**{name: given[''].pop(name) for name in of_node})
+    given, of_node = _by_owner(given_values(values, known, warn, robots), robots)
+    node = NodeSettings(**of_node)
     settings = RunSettings(_estimation_settings(robots, given, bool(node.peers)), node)
     _check_ids(settings.estimation.robots)
     _check_starts(settings.estimation.anchor, given)
     _check_frames(settings)
     check_files(settings)
     return settings
+
+
+def estimation_of(values: Mapping[str, object]) -> Settings:
+    """Return the settings of which the values are the deciding ones, as of `deciding`."""
+    robots = robot_names(values['robots'])
+    given, _ = _by_owner(checked_values(values, known_parameters(robots)), robots)
+    return _estimation_settings(robots, given, has_peers=False)
 
 
 def team_names(values: Mapping[str, object]) -> tuple[str, ...]:
@@ -50,6 +53,18 @@ def team_names(values: Mapping[str, object]) -> tuple[str, ...]:
     if not others:
         raise UsageError("parameter 'peers' has only this robot: list the others")
     return robots + others
+
+
+def _by_owner(
+    values: Mapping[str, Any], robots: Sequence[str]
+) -> tuple[GivenValues, dict[str, Any]]:
+    """Return the values of estimation by name of the team and of each robot, and of the node."""
+    given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
+    for name, value in values.items():
+        owner, _, field = name.rpartition('.')
+        given[owner][field] = value
+    names = given[''].keys() & parameters_of(NodeSettings)
+    return given, {name: given[''].pop(name) for name in names}
 
 
 def _estimation_settings(

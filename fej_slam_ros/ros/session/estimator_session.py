@@ -62,7 +62,7 @@ class EstimatorSession(Session):
         self.is_restored = checkpoint.is_to_restore(settings.node)
         self.changes: list[ParameterChange] = []
         if self.is_restored:
-            self.estimator, self.inputs, self.changes = checkpoint.load(
+            self.settings, self.estimator, self.inputs, self.changes = checkpoint.load(
                 Path(settings.node.restore), settings, self.prior)
         else:
             self.estimator = Estimator(settings.estimation, self.prior)
@@ -157,7 +157,7 @@ class EstimatorSession(Session):
     def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""
         return checkpoint.content_of(
-            self.settings.estimation, self.estimator, self.inputs, self.prior, self.changes)
+            self.settings, self.estimator, self.inputs, self.prior, self.changes)
 
     def _last_step(self) -> int | None:
         return max((

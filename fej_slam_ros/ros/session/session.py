@@ -148,7 +148,7 @@ class Session(ABC):
         """Return the settings of a run that follows this one, with its present team."""
         settings, robots = self.present_settings(), self.consumer.robots
         anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
-        return RunSettings(
+        return self.settings.followed_by(
             replace(settings, anchor=anchor),
             replace(self.settings.node, output=output, restore=''))
 

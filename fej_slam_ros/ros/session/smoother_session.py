@@ -85,7 +85,8 @@ class SmootherSession(Session):
         node = self.settings.node
         self.is_restored = checkpoint.is_to_restore(node)
         if self.is_restored:
-            self.team, self.inputs = checkpoint.load_smoother(Path(node.restore), self.settings)
+            self.settings, self.team, self.inputs = checkpoint.load_smoother(
+                Path(node.restore), self.settings)
         else:
             self.team = self._new_team(solve_every)
             self.inputs = Inputs(self.team, node)
@@ -199,8 +200,7 @@ class SmootherSession(Session):
 
     def _checkpoint_content(self) -> bytes:
         """Return the content of a checkpoint of the run."""
-        return checkpoint.content_of_smoother(
-            self.settings.estimation, self.team, self.inputs)
+        return checkpoint.content_of_smoother(self.settings, self.team, self.inputs)
 
     def _adopted(self) -> Iterator[Publication]:
         """Report an adopted solution, and yield its publications."""

@@ -413,7 +413,7 @@ def test_settings_that_do_not_affect_the_result_may_differ(path):
     interrupted(path, MESSAGES[:12])
 
     settings = run_settings(output='elsewhere', unused_variance=1.0)
-    estimator, *_ = checkpoint.load(path, settings)
+    _, estimator, *_ = checkpoint.load(path, settings)
 
     assert estimator.settings == settings.estimation
 
@@ -450,6 +450,46 @@ def drive_on(run, messages):
         list(run.take())
 
 
+def second_run(path, session, **node):
+    """Return a run that began by a reset after the parameters of the first one were changed."""
+    first = session(run_settings(checkpoint=str(path), **node), None)
+    drive_on(first, MESSAGES)
+    first.change_team(['r3', 'r2'])
+    list(first.close())
+    return session(first.next_settings(''), None)
+
+
+@pytest.mark.parametrize('session', [EstimatorSession, SmootherSession])
+def test_a_killed_process_that_is_started_as_before_continues_its_second_run(path, session):
+    undisturbed, saved = second_run(path, session), second_run(path, session)
+    assert [*saved.consumer.robots] == ['r3', 'r2']
+    for run in undisturbed, saved:
+        drive_on(run, MESSAGES[:12])
+    save(saved)
+
+    for _ in range(2):  # a later death is no other case
+        restored = session(run_settings(checkpoint=str(path), restore=str(path)), None)
+        save(restored)
+    for run in undisturbed, restored:
+        drive_on(run, MESSAGES[12:])
+        list(run.close())
+
+    assert restored.present_settings() == undisturbed.present_settings()
+    assert summary_without_files(restored) == summary_without_files(undisturbed)
+    changes = parameters.changes_before(restored.settings)
+    assert changes == "robots = ['r3', 'r2'], not ['r1', 'r2'], anchor = 'r3', not 'r1'"
+
+
+def test_the_changed_parameters_of_a_second_run_restore_it_too_and_others_do_not(path):
+    saved = second_run(path, EstimatorSession)
+    save(saved)
+
+    settings, *_ = checkpoint.load(path, saved.settings)
+
+    assert settings == saved.settings
+    assert 'was made with max_delay = 0.1, not 0.3: ' in rejected(path, max_delay=0.3)
+
+
 def test_a_restored_run_publishes_the_relative_poses_of_its_own_settings(path):
     interrupted(path, MESSAGES[:12], relative_poses=('r1:r2',))
     restored = EstimatorSession(run_settings(restore=str(path), relative_poses=('r2:r1',)), None)
@@ -472,7 +512,7 @@ def test_a_later_checkpoint_replaces_the_earlier_one(path):
     interrupted(path, MESSAGES[:5])
     later = interrupted(path, MESSAGES[:12])
 
-    estimator, *_ = checkpoint.load(path, run_settings())
+    _, estimator, *_ = checkpoint.load(path, run_settings())
 
     assert estimator.state_hash() == later.estimator.state_hash()
     assert [*path.parent.iterdir()] == [path]
