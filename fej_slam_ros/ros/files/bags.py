@@ -26,6 +26,7 @@ from fej_slam_ros.ros.files import checksums, damaged_bags
 from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES, TopicNames
 from fej_slam_ros.ros.messages import (
     definition, is_known, Message, outgoing, RawMessage, serialize)
+from fej_slam_ros.ros.messages.common import LAST_STAMP
 from fej_slam_ros.ros.parameters.yaml_bounds import read_bounded
 
 STORAGES = {'mcap': StoragePlugin.MCAP, 'sqlite3': StoragePlugin.SQLITE3}
@@ -42,13 +43,19 @@ MAX_METADATA = 10_000_000
 def read(
     path: Path, names: TopicNames = RECORDED_NAMES, only: Container[str] | None = None
 ) -> Iterator[RawMessage]:
-    """Yield the messages of a bag, perhaps on some topics only, as they were recorded."""
+    """
+    Yield the messages of a bag, perhaps on some topics only, in the order of recording.
+
+    The time of recording is unknown where no clock of ROS can have it.
+
+    """
     with _opened(path) as reader:
         topics = {c.topic: names.name(c.topic) for c in reader.connections}
         wanted = [c for c in reader.connections if only is None or topics[c.topic] in only]
         for connection, logged, raw in reader.messages(wanted) if wanted else ():
             # A damaged sqlite3 file may hold a time of any type.
-            yield RawMessage(topics[connection.topic], connection.msgtype, int(logged), bytes(raw))
+            time = int(logged) if 0 <= int(logged) <= LAST_STAMP else None
+            yield RawMessage(topics[connection.topic], connection.msgtype, time, bytes(raw))
 
 
 @dataclass(frozen=True, slots=True)

@@ -213,6 +213,14 @@ def test_the_poses_in_the_bag_are_those_of_the_trajectory_file(replay, places):
     ] == [','.join(row.split(',')[:3]) for row in table]
 
 
+def test_messages_recorded_after_the_last_time_of_ros_are_used(replay, summary):
+    late = [*MEETING[:4], *(replace(m, received=2**63 - 1) for m in MEETING[4:])]
+
+    assert replay(late, '--bag')[0] == 0
+
+    assert summary()['state_hash'] == direct_hash(MEETING)
+
+
 def test_rejections_are_in_the_bag(replay, places):
     replay([*MEETING, *WRONG], '--bag')
 

@@ -4,6 +4,7 @@
 
 from collections import Counter
 from contextlib import suppress
+from dataclasses import replace
 import json
 import re
 from time import process_time
@@ -170,6 +171,15 @@ def test_topics_have_type_count_and_durability(path, storage):
     assert bags.topics(path) == {
         'ground_truth/landmarks': bags.BagTopic(CLOUD, 1, latched=True),
         'r1/odom': bags.BagTopic(ODOMETRY, 2, latched=False)}
+
+
+@each_storage
+def test_a_time_of_recording_that_no_clock_of_ros_has_is_unknown(path, storage):
+    messages = [replace(m, received=t) for m, t in zip(
+        map(raw_record, meeting()), (0, 2**31 * 10**9 - 1, 2**31 * 10**9, 2**63 - 1))]
+    write_bag(path, messages, storage)
+
+    assert [m.received for m in bags.read(path)] == [0, 2**31 * 10**9 - 1, None, None]
 
 
 @each_storage
