@@ -6,6 +6,7 @@ from bisect import bisect_right
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -52,7 +53,7 @@ class _OdometryPose(NamedTuple):
 
     stamp: int  #: [ns]
     pose: Array  #: (3,) array [m, m, rad]
-    Q: Array  #: (3, 3) covariance of all increments up to it
+    Q: Array  #: (3, 3) covariance of the increment that leads to it
 
 
 class Detector:
@@ -105,12 +106,12 @@ class Detector:
             self._restart()
         Q = np.zeros((3, 3))
         if self._odometry:
-            before, _, Q = self._odometry[-1]
+            before = self._odometry[-1].stamp
             if record.stamp <= before:
                 self.late_odometry += 1
                 return
             if record.twist_covariance is not None:
-                Q = Q + ((record.stamp - before) / NS) ** 2 * record.twist_covariance
+                Q = ((record.stamp - before) / NS) ** 2 * record.twist_covariance
         self._odometry.append(_OdometryPose(record.stamp, record.pose, Q))
         if len(self._odometry) > MAX_POSES:
             del self._odometry[:MAX_POSES // 2]
@@ -162,15 +163,15 @@ class Detector:
 
     def _processed(self, scan: StampedScan) -> tuple[StampedScan, Detections]:
         self.scans += 1
-        begin, end = self._at(scan.stamp), self._at(scan.end)
+        begin, end = self._pose_at(scan.stamp), self._pose_at(scan.end)
         if begin is None or end is None:
             self.without_odometry += 1
             found = self._detect(scan.scan)
             found = found.select(found.is_certain, RejectedSegment.OCCLUDED)
         else:
-            laser = compose(end.pose, scan.mount)
-            u = between(laser, compose(begin.pose, scan.mount))
-            found = self._corrected(scan, u, end.Q - begin.Q)
+            laser = compose(end, scan.mount)
+            u = between(laser, compose(begin, scan.mount))
+            found = self._corrected(scan, u, self._covariance(scan.stamp, scan.end))
             found = self._without_uncertain(scan.end, laser, found)
         found = found.select(found.counts >= self._min_beams, RejectedSegment.FEW_BEAMS)
         self.rejected += found.rejected
@@ -215,17 +216,27 @@ class Detector:
         R = found.R + share[:, None, None] * (J @ Q @ J.transpose(0, 2, 1))
         return replace(found, points=points, R=R)
 
-    def _at(self, stamp: int) -> _OdometryPose | None:
-        """Return the pose at a stamp, interpolated; None without odometry around."""
+    def _pose_at(self, stamp: int) -> Array | None:
+        """Return the pose (3,) at a stamp, interpolated; None without odometry around."""
         after = bisect_right(self._odometry, stamp, key=attrgetter('stamp'))
         if after and self._odometry[after - 1].stamp == stamp:
-            return self._odometry[after - 1]
+            return self._odometry[after - 1].pose
         if after in (0, len(self._odometry)):
             return None
         first, last = self._odometry[after - 1:after + 1]
         if last.stamp - first.stamp > MAX_WAIT:
             return None
         share = (stamp - first.stamp) / (last.stamp - first.stamp)
-        return _OdometryPose(
-            stamp, interpolated(first.pose, last.pose, share),
-            (1.0 - share) * first.Q + share * last.Q)
+        return interpolated(first.pose, last.pose, share)
+
+    def _covariance(self, begin: int, end: int) -> Array:
+        """Return the covariance (3, 3) of the motion between two stamps with a pose."""
+        Q = np.zeros((3, 3))
+        first = bisect_right(self._odometry, begin, key=attrgetter('stamp'))
+        # A sum of all increments from the start would lose the small ones after a large one.
+        for before, after in pairwise(self._odometry[first - 1:]):
+            if before.stamp >= end:
+                break
+            inside = min(end, after.stamp) - max(begin, before.stamp)
+            Q += inside / (after.stamp - before.stamp) * after.Q
+        return Q

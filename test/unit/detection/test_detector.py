@@ -107,6 +107,20 @@ def test_uncertain_odometry_during_the_scan_makes_its_first_landmarks_uncertain(
     np.testing.assert_allclose(added, 0.0, atol=2e-4)
 
 
+def test_odometry_from_before_the_clock_was_set_changes_no_covariance_after_it():
+    def covariances(*before):
+        stream, begin, Q = detector(), 1_700_000_000 * NS, np.diag([0.01, 0.01, 0.04])
+        for stamp in (*before, *range(begin, begin + NS, NS // 25)):
+            stream.add_odometry(Odometry('r1', stamp, np.zeros(3), Q))
+        scan = replace(scan_of(POSTS, beams=BEAMS), time_increment=DURATION / (BEAMS - 1))
+        stream.add_scan(StampedScan(begin + NS // 2, scan, np.zeros(3)))
+        (_, found), = stream.take()
+        return found.R
+
+    assert len(covariances()) == 3
+    assert covariances(0) == pytest.approx(covariances(), rel=1e-12)
+
+
 @pytest.mark.parametrize('ahead', [0, 10**6])
 def test_a_stamp_far_ahead_and_time_that_jumps_back_cost_no_later_scan(ahead):
     stream, scan, found = detector(), scan_of(POSTS, sigma=0.005), []
