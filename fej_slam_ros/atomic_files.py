@@ -33,11 +33,20 @@ OTHER_CURE = 'choose a path that can be written'
 def refuse_existing(paths: Iterable[Path], force: bool | None) -> None:
     """Raise UsageError if a file or folder exists, unless forced; None: there is no --force."""
     for path in paths:
+        refuse_special(path)
         with writing(path):
             exists = path.exists()
         if exists and not force:
             other = ', or remove it' if force is None else ', or --force to replace it'
             raise UsageError(f'{path} exists: choose another path{other}')
+
+
+def refuse_special(path: Path) -> None:
+    """Raise UsageError for a device, pipe or socket, which a file would replace."""
+    with writing(path):
+        is_special = path.exists() and not path.is_file() and not path.is_dir()
+    if is_special:
+        raise UsageError(f'{path} is a device, pipe or socket: choose the path of a file')
 
 
 def make_folder(path: Path) -> None:
@@ -95,6 +104,7 @@ class PartFile:
         self._part = path.with_name(f'{path.name}.part')
         self._waiting = bytearray()
         self._size = 0
+        refuse_special(path)
         make_folder(path.parent)
         with writing(path):
             self._file = self._part.open('wb', buffering=0)

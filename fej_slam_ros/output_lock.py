@@ -55,7 +55,9 @@ class OutputLock:
 
     @classmethod
     def of_file(cls, path: Path) -> 'OutputLock':
-        """Lock a file, or the folder of a bag."""
+        """Lock a file, or the folder of a bag; UsageError if the path has no name to lock."""
+        if not path.name:
+            raise UsageError(f"'{path}' is no name of an output: give one")
         return cls(path, path.with_name(f'.{path.name}.lock'))
 
     @classmethod

@@ -27,7 +27,11 @@ def is_definite(P: Array) -> bool:
     if variances.min() <= 0.0:
         return False
     sigma = np.sqrt(variances)
-    correlation = P / (sigma[:, None] * sigma) - MIN_CORRELATION_EIGENVALUE * np.eye(len(P))
+    scale = sigma[:, None] * sigma
+    # No correlation exceeds 1; divided by tiny variances it may be no number.
+    if (np.abs(P) / 2.0 > scale).any():
+        return False
+    correlation = P / scale - MIN_CORRELATION_EIGENVALUE * np.eye(len(P))
     return int(dpotrf(correlation, lower=1)[1]) == 0
 
 
@@ -35,7 +39,10 @@ def are_definite(P: Array) -> Flags:
     """Return `is_definite` of each of m covariances (m, d, d)."""
     variances = np.einsum('mii->mi', P)
     definite: Flags = (variances > 0.0).all(axis=1)
-    sigma = np.sqrt(variances[definite])
-    correlation = P[definite] / (sigma[:, :, None] * sigma[:, None, :])
+    sigma = np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    scale = sigma[:, :, None] * sigma[:, None, :]
+    # No correlation exceeds 1; divided by tiny variances it may be no number.
+    definite &= ~(np.abs(P) / 2.0 > scale).any(axis=(1, 2))
+    correlation = P[definite] / scale[definite]
     definite[definite] = np.linalg.eigvalsh(correlation)[:, 0] > MIN_CORRELATION_EIGENVALUE
     return definite

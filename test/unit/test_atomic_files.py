@@ -11,7 +11,7 @@ import sys
 import pytest
 
 from fej_slam_ros import atomic_files
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.errors import UsageError, UserError
 
 OLD, NEW = b'old', b'new' * 100_000
 
@@ -63,3 +63,17 @@ def test_a_full_disk_leaves_the_old_file_and_is_reported(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
     assert path.read_bytes() == OLD
+
+
+@pytest.mark.parametrize('write', [
+    lambda path: atomic_files.write_bytes(path, NEW),
+    lambda path: atomic_files.refuse_existing([path], force=True)])
+def test_a_device_is_never_replaced_by_a_file(tmp_path, write):
+    path = tmp_path / 'pipe'
+    os.mkfifo(path)
+
+    with pytest.raises(UsageError, match='pipe is a device, pipe or socket: choose the path of a'):
+        write(path)
+
+    assert path.is_fifo()
+    assert [*tmp_path.iterdir()] == [path]

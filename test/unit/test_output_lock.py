@@ -3,11 +3,13 @@
 """Two processes never write to one file or folder, and a killed one leaves nothing locked."""
 
 import os
+from pathlib import Path
 import signal
 import socket
 
 import pytest
 
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.output_lock import InUseError, OutputLock
 
 BOTH = pytest.mark.parametrize('lock', [OutputLock.of_file, OutputLock.of_folder])
@@ -72,3 +74,9 @@ def test_a_folder_with_files_stays(tmp_path):
         (tmp_path / 'out' / 'file').write_text('')
 
     assert [path.name for path in (tmp_path / 'out').iterdir()] == ['file']
+
+
+@pytest.mark.parametrize('path', ['', '.', '/'])
+def test_a_path_without_a_name_is_no_file(path):
+    with pytest.raises(UsageError, match='is no name of an output: give one'):
+        OutputLock.of_file(Path(path))

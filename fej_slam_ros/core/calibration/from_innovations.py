@@ -14,6 +14,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import combinations
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -150,11 +151,18 @@ def counts(records: Iterable[Received]) -> Counter[str]:
 def _minimum(f: Callable[[Array], float], theta: Array, step: float) -> tuple[Array, Array]:
     """Return the minimum of f, searched from theta (d,), and the Hessian (d, d) there."""
     d = len(theta)
-    found = minimize(f, theta, method='Nelder-Mead', options={
+
+    def finite(x: Array) -> float:
+        # The search subtracts values, also where the estimate breaks down.
+        return min(f(x), sys.float_info.max)
+
+    found = minimize(finite, theta, method='Nelder-Mead', options={
         'initial_simplex': theta + np.vstack([np.zeros(d), step * np.eye(d)]),
         'xatol': LAST_STEP, 'fatol': LAST_DIFFERENCE})
     h = LAST_STEP * np.eye(d)
     above, below = (np.array([f(found.x + sign * e) for e in h]) for sign in (1.0, -1.0))
+    if not np.isfinite([above, below]).all():
+        return found.x, np.full((d, d), math.inf)
     curvature = np.diag(above + below - 2.0 * found.fun)
     for i, j in combinations(range(d), 2):
         both = f(found.x + h[i] + h[j])

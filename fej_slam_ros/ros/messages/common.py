@@ -62,7 +62,7 @@ def to_covariance(P: Array, unused_variance: float) -> Array:
     """Return P (3, 3) as 36 numbers, with an uncorrelated variance of z, roll and pitch."""
     full = np.zeros(36)
     # A product such as D P D^T is symmetric up to rounding; what is symmetric keeps every bit.
-    full[PLANAR_BLOCK] = 0.5 * (P + P.T)
+    full[PLANAR_BLOCK] = 0.5 * P + 0.5 * P.T
     full[UNUSED_VARIANCES] = unused_variance
     return full
 

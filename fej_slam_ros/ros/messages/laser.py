@@ -88,7 +88,9 @@ def laser_scan(message: LaserScanMessage) -> tuple[int, LaserScan]:
         raise ScanFaultError(ScanFault.BAD_TIMES)
     if not 0.0 <= message.range_min < message.range_max:
         raise ScanFaultError(ScanFault.BAD_LIMITS)
-    return from_time(message.header.stamp), LaserScan(
-        np.asarray(ranges, np.float64), float(begin), float(step), float(message.time_increment),
-        float(message.range_min), float(message.range_max),
-        np.asarray(intensities, np.float64) if len(intensities) == len(ranges) else None)
+    # Some bits of a NaN count as invalid in a conversion.
+    with np.errstate(invalid='ignore'):
+        return from_time(message.header.stamp), LaserScan(
+            np.asarray(ranges, np.float64), float(begin), float(step),
+            float(message.time_increment), float(message.range_min), float(message.range_max),
+            np.asarray(intensities, np.float64) if len(intensities) == len(ranges) else None)

@@ -23,7 +23,8 @@ from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.detection.objects import DetectedObject
 from fej_slam_ros.ros.messages import Message
-from fej_slam_ros.ros.messages.incoming import checked_covariance, RejectedError, spatial_pose
+from fej_slam_ros.ros.messages.incoming import (
+    checked_covariance, MAX_VARIANCE, RejectedError, spatial_pose)
 from fej_slam_ros.ros.messages.incoming_clouds import MAX_DISTANCE
 
 #: A pose that has not been set.
@@ -31,6 +32,8 @@ ORIGIN, UPRIGHT = Point(x=0.0, y=0.0, z=0.0), Quaternion(x=0.0, y=0.0, z=0.0, w=
 UNSET_POSE = Pose(position=ORIGIN, orientation=UPRIGHT)
 #: Smallest coordinate, of the three the largest, of an object in the frame of its sensor [m].
 MIN_OBJECT_DISTANCE = 0.01
+#: Largest standard deviation of a distance or direction [m, rad].
+MAX_SIGMA = math.sqrt(MAX_VARIANCE)
 #: Maximum length of the name of an object [characters]; thousands of names are stored.
 MAX_OBJECT_NAME = 255
 
@@ -199,14 +202,17 @@ def _detection(
     if best is not None:
         P = np.reshape(best.pose.covariance, (6, 6))[:3, :3]
         pose = pose if best.pose.pose == UNSET_POSE else best.pose.pose
-    return SensedObject(identity, pose.position, pose.orientation, P if P.any() else None)
+    is_known = any(np.ravel(P).tolist())
+    return SensedObject(identity, pose.position, pose.orientation, P if is_known else None)
 
 
 def _landmark(entry: Message) -> SensedObject:
     pose, weight = entry.tracking_from_landmark_transform, entry.translation_weight
-    if not 0.0 < weight < math.inf:
-        return SensedObject(
-            entry.id, pose.position, pose.orientation, fault=RejectionReason.BAD_COVARIANCE)
+    fault = (
+        RejectionReason.BAD_COVARIANCE if not 0.0 < weight < math.inf else
+        RejectionReason.OUT_OF_RANGE if weight < 1.0 / MAX_VARIANCE else None)
+    if fault is not None:
+        return SensedObject(entry.id, pose.position, pose.orientation, fault=fault)
     return SensedObject(entry.id, pose.position, pose.orientation, np.eye(3) / weight)
 
 
@@ -215,7 +221,8 @@ def _polar(observed: Message, sigma: tuple[float, float, float]) -> SensedObject
     distance, yaw, pitch = polar = observed.range, observed.yaw, observed.pitch
     fault = (
         RejectionReason.NOT_FINITE if not all(map(math.isfinite, (*polar, *sigma))) else
-        RejectionReason.OUT_OF_RANGE if not 0.0 < distance < MAX_DISTANCE else
+        RejectionReason.OUT_OF_RANGE if not 0.0 < distance < MAX_DISTANCE
+        or max(map(abs, sigma)) > MAX_SIGMA else
         RejectionReason.BAD_ID if observed.id < NO_ID else None)
     name = '' if observed.id == NO_ID else str(observed.id)
     if fault is not None:

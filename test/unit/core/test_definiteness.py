@@ -3,6 +3,7 @@
 """Definiteness of covariances."""
 
 import numpy as np
+import pytest
 
 from fej_slam_ros.core.definiteness import are_definite, is_definite
 
@@ -16,3 +17,17 @@ def test_covariances_are_definite_together_as_each_alone():
 
     assert are_definite(P).tolist() == [is_definite(block) for block in P]
     assert are_definite(P).tolist() == 10 * [True] + 20 * [False] + 10 * [True]
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize(('variances', 'covariance', 'expected'), [
+    ((1e-308, 1e-308), 1e308, False), ((5e-324, 5e-324), 1e-320, False),
+    ((1e-320, 1e308), 1e-10, True), ((1e308, 1e308), 1.7e308, False)])
+def test_the_definiteness_of_extreme_covariances_is_known_without_a_warning(
+    variances, covariance, expected,
+):
+    P = np.diag(variances)
+    P[0, 1] = P[1, 0] = covariance
+
+    assert is_definite(P) is expected
+    assert are_definite(P[None]).tolist() == [expected]

@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, run, with_scales)
 from fej_slam_ros.core.chi_square import chi_square_band
+from fej_slam_ros.core.estimator import BrokenEstimateError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.ros.session import simulation
 from helpers.records import claiming, odometry, scan, team
@@ -88,6 +89,14 @@ def test_without_observations_the_factors_are_not_known():
     found = most_likely_scales(team('r1'), records, ['odometry'])
 
     assert not found['odometry'].is_known()
+
+
+@pytest.mark.filterwarnings('error')
+def test_without_a_scale_at_which_the_estimate_holds_its_error_is_all_that_is_reported():
+    records = received(claiming(simulated(7), {Scan: 1e-40}))
+
+    with pytest.raises(BrokenEstimateError, match='look for covariances of the input'):
+        most_likely_scales(team(), records, ['landmark'])
 
 
 def test_the_log_likelihood_equals_the_density_of_the_innovation():

@@ -80,3 +80,13 @@ def test_a_clockwise_laser_is_accepted():
         angle_increment=-GOOD.angle_increment)
 
     assert laser_scan(turned)[1].angle_increment < 0.0
+
+
+@pytest.mark.filterwarnings('error')
+def test_a_range_that_is_a_signaling_nan_is_no_number_and_gives_no_warning():
+    ranges = GOOD.ranges.copy()
+    ranges.view(np.uint32)[3] = 0x7F800001
+
+    _, scan = laser_scan(replace(GOOD, ranges=ranges))
+
+    assert np.flatnonzero(np.isnan(scan.ranges)).tolist() == [3]

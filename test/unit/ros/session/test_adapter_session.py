@@ -403,6 +403,7 @@ def weighted(weight):
         ('range_bearing', polar((4, 2.0, np.inf, 0.0)), 'not_finite'),
         ('range_bearing', polar((4, 2.0, 0.0, 0.0), sigmas=(np.nan, 0.1, 0.1)), 'not_finite'),
         ('range_bearing', polar((4, -2.0, 0.0, 0.0)), 'out_of_range'),
+        ('range_bearing', polar((4, 2.0, 0.0, 0.0), sigmas=(0.1, 1e200, 0.1)), 'out_of_range'),
         ('range_bearing', polar((-2, 2.0, 0.0, 0.0)), 'bad_id'),
         ('range_bearing', polar((4, 2.0, 0.0, 0.0), sigmas=(0.1, 0.0, 0.0)), 'bad_covariance'),
         ('landmark_list', weighted(0.0), 'bad_covariance'),
@@ -410,11 +411,13 @@ def weighted(weight):
         ('landmark_list', weighted(np.nan), 'bad_covariance'),
         ('landmark_list', weighted(np.inf), 'bad_covariance'),
         ('landmark_list', weighted(1e30), 'out_of_range'),
+        ('landmark_list', weighted(1e-320), 'out_of_range'),
         ('detection3d', foreign.detections3d(
             5, 'r1/base_link', [('4', '', SEEN, -np.eye(6))]), 'bad_covariance'),
         ('detection3d', foreign.detections3d(5, 'r1/base_link', [None]), 'no_identity'),
     ],
 )
+@pytest.mark.filterwarnings('error::RuntimeWarning')
 def test_what_cannot_be_used_is_counted_by_reason(name, message, count):
     session = session_of(formats=[name])
 
