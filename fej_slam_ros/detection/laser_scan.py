@@ -42,6 +42,14 @@ class LaserScan:
         """Return the time from the first to the last beam [ns]."""
         return round(self.time_increment * max(len(self.ranges) - 1, 0) * NS)
 
+    def reversed(self) -> 'LaserScan':
+        """Return the same scan with its last beam first, of a driver that turned it around."""
+        return replace(
+            self, ranges=self.ranges[::-1],
+            angle_min=self.angle_min + self.angle_increment * (len(self.ranges) - 1),
+            angle_increment=-self.angle_increment,
+            intensities=None if self.intensities is None else self.intensities[::-1])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:

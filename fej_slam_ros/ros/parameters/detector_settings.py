@@ -57,6 +57,10 @@ class DetectorSettings:
         'minimum intensity of beams that meet a reflector; 0: posts are detected by their shape')
     reflector_radius: float = parameter(
         0.0, NOT_NEGATIVE, 'radius of round reflectors; 0: they are flat', 'm')
+    reversed_beams: bool = parameter(
+        False, FLAG,
+        'the last beam of a scan was measured first, as of RPLIDAR: its driver reverses ranges,'
+        ' but not times')
     tf_topics: str = parameter(
         'both', one_of('shared', 'robot', 'both'),
         'topics of the static transforms of the lasers: /tf_static, <robot>/tf_static, or both')

@@ -184,6 +184,8 @@ class DetectorSession:
             stamp, scan = laser.laser_scan(message)
             if self._settings.intensity_threshold > 0.0 and scan.intensities is None:
                 raise ScanFaultError(ScanFault.NO_INTENSITIES)
+            if self._settings.reversed_beams:
+                scan = scan.reversed()
             frame = message.header.frame_id.lstrip('/')
             scan, mount, published = self._mounted(name, frame, scan)
             if not state.detector.add_scan(StampedScan(stamp, scan, mount, published, frame)):

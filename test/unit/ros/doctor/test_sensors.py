@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.calibration.sensor_pose import SensorFit
+from fej_slam_ros.detection.laser_scan import LaserScan
+from fej_slam_ros.detection.records import RobotLaserScan
 from fej_slam_ros.ros.doctor.sensors import findings
 from fej_slam_ros.ros.files import bags
-from helpers.ros import cdr, run_verb, TYPES, write_bag, write_parameters
+from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.sim.lidar import true_ranges
+from helpers.lasers import NO_WALLS
+from helpers.ros import (
+    cdr, header, odometry_message, raw, run_verb, TYPES, write_bag, write_parameters)
 
 AS_GIVEN = SensorFit(500, 1.0, 1.0, np.zeros(3), True, 1.0, 0.0, 50.0)
 WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360, 'seed': 4}
@@ -94,6 +100,45 @@ def test_a_laser_that_is_turned_is_named(recorded, tmp_path, capsys):
     found = of_sensors(changed(recorded, tmp_path / 'bag', turn), capsys)
 
     assert [line.split(':')[2] for line in found] == [' sensor_pose', ' sensor_pose']
+
+
+def of_a_turning_robot(is_reversed):
+    """Return odometry and scans of a robot that turns to and fro; the last beam may be first."""
+    posts = np.random.default_rng(7).uniform(-4.0, 4.0, (8, 2))
+    discs = np.column_stack([posts + np.sign(posts), np.full(8, 0.1)])
+    angles = -np.pi + 2.0 * np.pi / 360 * np.arange(360)
+    after = 0.1 / 359 * (np.arange(360)[::-1] if is_reversed else np.arange(360))
+    noise = np.random.default_rng(8)
+    for ms in range(0, 40_000, 50):
+        half = 0.4 * np.sin(ms * 1e-3)
+        yield raw('r1/odom', odometry_message(
+            ms, quaternion=(0.0, 0.0, np.sin(half), np.cos(half))), ms)
+        if ms % 100 == 0:
+            headings = 0.8 * np.sin(ms * 1e-3 + after)
+            poses = np.column_stack([np.zeros((360, 2)), headings])
+            ranges = true_ranges(poses, angles, discs, NO_WALLS) + noise.normal(0.0, 0.01, 360)
+            yield raw('r1/scan', replace(
+                outgoing.laser_scan(RobotLaserScan('r1', ms * 10**6, LaserScan(
+                    ranges, angles[0], angles[1] - angles[0], 0.1 / 359, 0.05, 20.0))),
+                header=header(ms, 'r1/base_link')), ms + 110)
+
+
+@pytest.mark.parametrize('is_reversed', [False, True])
+@pytest.mark.parametrize('given', [False, True])
+def test_beams_in_the_reverse_order_of_time_are_named(tmp_path, capsys, is_reversed, given):
+    messages = sorted(of_a_turning_robot(is_reversed), key=lambda message: message.received)
+    bag = write_bag(tmp_path / 'bag', messages)
+    settings = write_parameters(
+        tmp_path / 'team.yaml', robots=['r1'], range_sigma=0.01, reversed_beams=given)
+
+    run_verb('doctor', bag, '--params', settings)
+
+    found = [line for line in capsys.readouterr().out.splitlines() if 'reversed_beams' in line]
+    if is_reversed == given:
+        assert found == []
+    else:
+        assert found[0].startswith('error: r1/scan: reversed_beams: ')
+        assert found[1].endswith(f'set reversed_beams of the detector to {str(not given).lower()}')
 
 
 def test_radius_limits_that_fit_nothing_are_named_with_the_radii(recorded, capsys):

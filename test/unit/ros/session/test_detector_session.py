@@ -13,7 +13,8 @@ from fej_slam_ros.ros.messages import laser, outgoing
 from fej_slam_ros.ros.parameters.detector_settings import parse_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession
 from fej_slam_ros.ros.session.front_end import report
-from helpers.lasers import scan_of
+from fej_slam_ros.sim.lidar import true_ranges
+from helpers.lasers import NO_WALLS, scan_of
 from helpers.ros import mounts, odometry_message, raw, seen
 
 POSTS = np.array([[3.0, 0.5, 0.2], [-1.0, 2.0, 0.15]])
@@ -99,6 +100,28 @@ def test_posts_seen_by_a_turned_laser_stand_still_if_a_parameter_says_where_it_i
         pytest.approx([0.0, 0.0], abs=0.03))
     (_, warning, _), = session.counts()
     assert warning == ''
+
+
+def test_beams_in_the_reverse_order_of_time_are_corrected_for_the_motion_of_the_robot():
+    # As of RPLIDAR, of a robot that turns by 1 rad/s: the last beam is measured first.
+    beams, duration, rate = 720, 0.1, 1.0
+    times = duration * np.arange(beams)[::-1] / (beams - 1)
+    angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
+    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
+    scan = replace(
+        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS),
+        time_increment=duration / (beams - 1))
+    odometry = [
+        raw('r1/odom', odometry_message(
+            ms, quaternion=(0.0, 0.0, np.sin(rate * ms / 2e3), np.cos(rate * ms / 2e3))))
+        for ms in range(0, 200, 10)]
+
+    message, = run(
+        session_of(reversed_beams=True), *odometry, scan_message(frame='r1/base_link', scan=scan))
+
+    # As seen at the end of the scan.
+    expected = transform(np.array([0.0, 0.0, -rate * duration]), POSTS[:, :2])
+    assert distances(points(message), expected) == pytest.approx([0.0, 0.0], abs=0.03)
 
 
 def test_a_place_given_by_a_parameter_overrides_the_static_transforms():
