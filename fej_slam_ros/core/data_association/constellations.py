@@ -112,7 +112,8 @@ def shared_landmarks(
     without_id = _latest_without_id(team, group), _latest_without_id(group, team)
     fewer = min(map(len, without_id))
     if fewer < MIN_MATCHES:
-        return JoinFailure(f'{fewer} landmarks without ID, needs {MIN_MATCHES}')
+        landmarks = 'landmark' if fewer == 1 else 'landmarks'
+        return JoinFailure(f'{fewer} {landmarks} without ID, needs {MIN_MATCHES}')
     for of_smaller, of_larger in MAX_LANDMARKS:
         ours, theirs = (
             _map(state, landmarks[-(of_smaller if len(landmarks) == fewer else of_larger):])

@@ -135,10 +135,11 @@ def test_mirrored_landmarks_are_not_the_same():
     assert isinstance(failure, JoinFailure)
 
 
-def test_too_few_landmarks_are_named():
-    failure = shared_landmarks(*two_maps(random_points(4, 0)))
+@pytest.mark.parametrize(('count', 'named'), [(1, '1 landmark'), (4, '4 landmarks')])
+def test_too_few_landmarks_are_named(count, named):
+    failure = shared_landmarks(*two_maps(random_points(count, 0)))
 
-    assert failure.reason == '4 landmarks without ID, needs 5'
+    assert failure.reason == f'{named} without ID, needs 5'
 
 
 @pytest.mark.parametrize('shared', [0, 4])
