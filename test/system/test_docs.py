@@ -4,6 +4,7 @@
 
 import argparse
 import ast
+from dataclasses import replace
 from importlib import import_module
 from itertools import takewhile
 import math
@@ -27,12 +28,13 @@ from scipy.io import savemat
 from fej_slam_ros.cli.main import NODES, VERBS
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.parameters.detector_settings import parse_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession
 from helpers.mrclam import STRAIGHT, write_set
 from helpers.paths import ROOT
 from helpers.processes import end_session, start_verb, until
-from helpers.ros import run_verb, write_parameters
+from helpers.ros import cdr, run_verb, TYPES, write_bag, write_parameters
 
 PAGES = [
     'README.md', 'CONTRIBUTING.md', 'bags/README.md',
@@ -150,6 +152,16 @@ def test_every_exception_is_of_a_command_on_a_page():
     assert set(NOT_RUN) == begun - {None}
 
 
+def with_reversed_ranges(message):
+    """Return a scan with every range at its angle, but as if it was measured at another time."""
+    if not message.topic.endswith('/scan'):
+        return message
+    scan = TYPES.deserialize_cdr(message.raw, message.type_name)
+    return replace(message, raw=cdr(replace(
+        scan, ranges=scan.ranges[::-1].copy(), angle_min=scan.angle_max,
+        angle_max=scan.angle_min, angle_increment=-scan.angle_increment)))
+
+
 class Shell:
     """Runs the commands of a page in a folder of its own."""
 
@@ -205,12 +217,14 @@ class Shell:
         assert not secured or "doesn't have the security libraries" in errors
 
     def drive(self):
-        """Return a recording of two robots with lasers."""
-        folder, world = self.folder / 'drive', self.folder / 'world.yaml'
+        """Return a recording of two robots with lasers, whose drivers reverse the ranges."""
+        folder, world = self.folder / 'drive', self.folder / 'world'
         if not folder.exists():
-            write_parameters(
-                world, environment='posts', robots=['tb4_1', 'tb4_2'], loops=1, beams=360)
-            assert run_verb('simulate', '--params', world, '--output', folder) == 0
+            settings = write_parameters(
+                self.folder / 'world.yaml', environment='posts', robots=['tb4_1', 'tb4_2'],
+                loops=1, beams=360)
+            assert run_verb('simulate', '--params', settings, '--output', world) == 0
+            write_bag(folder, [*map(with_reversed_ranges, bags.read(world))])
         return str(folder)
 
     def replaced(self, word, words):
