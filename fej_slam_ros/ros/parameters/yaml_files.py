@@ -30,7 +30,7 @@ T = TypeVar('T')
 
 
 def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
-    """Return the settings in a ROS parameter file for nodes, with their namespaces if any."""
+    """Return the settings in a ROS parameter file for nodes without namespace."""
     return load_parsed(path, nodes, parse, warn)
 
 
@@ -49,12 +49,13 @@ def load_parsed(
 
 
 def load_values(
-    path: Path, nodes: Sequence[str], warn: Warn = warn_once
+    path: Path, nodes: Sequence[str], warn: Warn = warn_once, namespace: str = '/',
 ) -> dict[str, object]:
     """Return the flat parameters in a ROS parameter file for some nodes, values unchecked."""
+    names = [f'{namespace.rstrip("/")}/{node}' for node in nodes]
     values = {
         name: value for section, name, value in _entries(_read_yaml(path))
-        if any(_applies(section, f'/{node}') for node in nodes)}
+        if any(_applies(section, node) for node in names)}
     if not values:
         raise UsageError(
             f'no parameters for the node {nodes[-1]!r}: {PLACE}')
