@@ -94,6 +94,24 @@ def test_a_new_robot_whose_topics_ros_refuses_leaves_the_team_as_it_is(domain):
     assert domain.node.count_publishers('/r2/pose') == 1
 
 
+@pytest.mark.parametrize(('node', 'values'), [
+    ('detector', {}), ('adapter', {'formats': ['marker_array']}), ('simulator', {})])
+def test_a_node_without_changeable_parameters_says_why_it_changes_none(
+    domain, tmp_path, node, values,
+):
+    path = write_parameters(tmp_path / 'p.yaml', **TEAM, **values)
+    domain.start(node, '--ros-args', '--params-file', path)
+
+    results = set_all(domain, *(
+        parameter(name, 'texts') for name in ('robots', 'robot', '')), node=node)
+
+    assert not any(result.successful for result in results)
+    assert ["'robots' is read when the node starts" in r.reason for r in results] == [
+        True, False, False, True]
+    assert "'robot': did you mean 'robots'?" in results[1].reason
+    assert results[2].reason == "unknown parameter ''"
+
+
 def requests():
     """Yield the service and the fields of each request."""
     for name, value in product(NAMES, VALUES):
@@ -134,14 +152,16 @@ def connected(domain, node, service):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('node', ['estimator', 'smoother', 'simulator'])
+@pytest.mark.parametrize('node', ['estimator', 'smoother', 'simulator', 'detector', 'adapter'])
 def test_no_request_ends_a_node_or_stops_it_for_long(domain, tmp_path, node):
-    path = write_parameters(tmp_path / 'p.yaml', **TEAM)
+    formats = {'formats': ['marker_array']} if node == 'adapter' else {}
+    path = write_parameters(tmp_path / 'p.yaml', **TEAM, **formats)
     process = domain.start(node, '--ros-args', '--params-file', path)
     client_of = cache(partial(connected, domain, node))
     durations = []
 
-    for service, fields in chain(requests(), transitions() if node != 'simulator' else ()):
+    is_managed = node in {'estimator', 'smoother'}
+    for service, fields in chain(requests(), transitions() if is_managed else ()):
         client, begin = client_of(service), monotonic()
         response = client.call_async(service_type(service).Request(**fields))
         domain.until(response.done)

@@ -97,7 +97,7 @@ class FrontEndNode(ParameterNode):
         self, front_end: FrontEnd, values: Mapping[str, Value], known: Mapping[str, Parameter]
     ) -> None:
         """Declare the parameters by their values, and create publishers and subscriptions."""
-        self._front_end = front_end
+        self._front_end, self._known = front_end, known
         self.redeclare(values, known)
         check_topic_names(self, [*front_end.topics, *front_end.outputs])
         self._outputs = {
@@ -115,6 +115,9 @@ class FrontEndNode(ParameterNode):
                 'the places of sensors are not read from /tf_static because tf2_msgs is missing:'
                 ' apt install ros-jazzy-tf2-msgs')
         self.create_steady_timer(DIAGNOSTICS_PERIOD, self._report)
+
+    def known_parameters(self) -> Mapping[str, Parameter]:
+        return self._known
 
     def work(self) -> None:
         """Publish what needs no further messages, for a limited time."""

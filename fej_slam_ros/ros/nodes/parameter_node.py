@@ -27,7 +27,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.nodes.endpoints import taken_message
 from fej_slam_ros.ros.nodes.ros_process import first_line
-from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, Value
+from fej_slam_ros.ros.parameters import PARAMETERS_OF_ROS, rejection, Value
 from fej_slam_ros.ros.parameters.values import MAX_WARNINGS, shortened
 
 #: Maximum number of parameters in one request; 20 robots have 400.
@@ -92,6 +92,24 @@ class ParameterNode(CheckedClockNode):
         for service in self.services:
             if service.srv_type in {SetParameters, SetParametersAtomically}:
                 service.callback = partial(self._answer, service.callback)
+
+    def known_parameters(self) -> Mapping[str, Parameter]:
+        """Return the parameters of the node by name."""
+        raise NotImplementedError
+
+    def changeable_parameters(self) -> Collection[str]:
+        """Return the names of those that can change while the node runs."""
+        return ()
+
+    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
+        """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
+        known = self.known_parameters()
+        changeable = {*self.changeable_parameters(), *PARAMETERS_OF_ROS}
+        for change in parameter_list:
+            reason = rejection(change.name, known, changeable)
+            if reason is not None:
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     def redeclare(
         self, values: Mapping[str, Value], known: Mapping[str, Parameter],

@@ -2,13 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of the nodes whose parameters are the settings of a run."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 from typing import Any
 
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter as RosParameter
-
+from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.endpoints import is_installed
 from fej_slam_ros.ros.nodes.managed_node import ManagedNode
@@ -29,32 +27,26 @@ class SettingsNode(ManagedNode):
         robots = self._robot_names()
         known = parameters.known_parameters(robots)
         self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
-        self.redeclare(parameters.as_parameters(self._settings), known, self._changeable())
+        self.redeclare(
+            parameters.as_parameters(self._settings), known, self.changeable_parameters())
         if self._lacks_tf():
             without: dict[str, Any] = {self.tf_parameter: False}
             self._settings = replace(
                 self._settings, node=replace(self._settings.node, **without))
         self._next_settings = self._settings
 
-    def set_parameters_atomically(self, parameter_list: list[RosParameter]) -> SetParametersResult:
-        """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
-        known = parameters.known_parameters(self._robot_names())
-        changeable = self._changeable() | parameters.PARAMETERS_OF_ROS
-        for change in parameter_list:
-            reason = parameters.rejection(change.name, known, changeable)
-            if reason is not None:
-                return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
+    def known_parameters(self) -> Mapping[str, Parameter]:
+        return parameters.known_parameters(self._robot_names())
+
+    def changeable_parameters(self) -> Collection[str]:
+        return parameters.changeable_parameters(self._robot_names(), self.audience)
 
     def _robot_names(self) -> list[str]:
         return [robot.name for robot in self._settings.estimation.robots]
 
-    def _changeable(self) -> set[str]:
-        return parameters.changeable_parameters(self._robot_names(), self.audience)
-
     def _changeable_values(self) -> dict[str, parameters.Value]:
         """Return the values in force of the parameters that may change."""
-        names, values = self._changeable(), parameters.as_parameters(self._settings)
+        names, values = self.changeable_parameters(), parameters.as_parameters(self._settings)
         return {name: value for name, value in values.items() if name in names}
 
     def _lacks_tf(self) -> bool:

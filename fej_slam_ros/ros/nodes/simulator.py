@@ -2,12 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``simulator``: odometry, observations and ground truth of a synthetic world out."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from rcl_interfaces.msg import SetParametersResult
-from rclpy.parameter import Parameter
-
-from fej_slam_ros.ros import parameters
+from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.ros.messages.object_formats import FORMATS
 from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 from fej_slam_ros.ros.nodes.player import Player
@@ -56,14 +53,8 @@ class SimulatorNode(ParameterNode):
             self.simulated.clock or bool(self.get_parameter('use_sim_time').value))
         self.redeclare(simulation.as_parameters(self.simulated), simulation.PARAMETERS)
 
-    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
-        """Set parameters; unlike in rclpy, the reason of a rejection says what to do."""
-        for change in parameter_list:
-            reason = parameters.rejection(
-                change.name, simulation.PARAMETERS, parameters.PARAMETERS_OF_ROS)
-            if reason is not None:
-                return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
+    def known_parameters(self) -> Mapping[str, Parameter]:
+        return simulation.PARAMETERS
 
     def now(self) -> int:
         """Return the present time [ns]."""
