@@ -11,6 +11,11 @@ from fej_slam_ros.core.geometry import Array, Flags
 
 #: Smallest eigenvalue of a correlation matrix that counts as regular, well above rounding.
 MIN_CORRELATION_EIGENVALUE = 1e-12
+#: Smallest variance of a velocity [m^2/s^2, rad^2/s^2] that is not exact: a picometre per second.
+#: Products of three, times 1 ns squared, are still far from the smallest float.
+MIN_VELOCITY_VARIANCE = 1e-24
+#: Largest ratio of the variances in x and y: when turned by the heading, a float cannot hold both.
+MAX_VARIANCE_RATIO = 1e15
 
 
 def is_definite(P: Array) -> bool:
@@ -33,6 +38,15 @@ def is_definite(P: Array) -> bool:
         return False
     correlation = P / scale - MIN_CORRELATION_EIGENVALUE * np.eye(len(P))
     return int(dpotrf(correlation, lower=1)[1]) == 0
+
+
+def has_information(P: Array) -> bool:
+    """Return whether the covariance P (3, 3) of a velocity can be inverted in any frame."""
+    variances = P.diagonal().tolist()
+    linear = variances[:2]
+    return (
+        min(variances) >= MIN_VELOCITY_VARIANCE
+        and max(linear) <= MAX_VARIANCE_RATIO * min(linear) and is_definite(P))
 
 
 def are_definite(P: Array) -> Flags:

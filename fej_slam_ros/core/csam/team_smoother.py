@@ -20,7 +20,7 @@ from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
-from fej_slam_ros.core.definiteness import is_definite
+from fej_slam_ros.core.definiteness import has_information
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
@@ -94,13 +94,13 @@ class TeamSmoother(TeamInput):
         """
         Add a record; return the reason if it is rejected, None if it is accepted.
 
-        Odometry with a singular covariance is rejected; the next one covers its interval.
+        Odometry that is exact in some direction is rejected; the next one covers its interval.
         `received` is the time of reception [ns] on the clock of the stamp, None to trust the
         stamp.
 
         """
         if isinstance(record, Odometry) and record.twist_covariance is not None and (
-                not is_definite(record.twist_covariance)):
+                not has_information(record.twist_covariance)):
             reason = RejectionReason.BAD_COVARIANCE
             self.statistics.reject_message(record.robot, record.stamp, reason)
             return reason

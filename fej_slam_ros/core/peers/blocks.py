@@ -16,7 +16,7 @@ import zlib
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.definiteness import is_definite
+from fej_slam_ros.core.definiteness import has_information
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
     AnyObservation, AnyScan, NS, Observation, Odometry, RobotObservation, RobotScan, Scan)
@@ -185,7 +185,7 @@ def _check(poses: Array, Q: Array, z: Array, R: Array) -> None:
     for P in (Q, R):
         skew = np.abs(P - P.transpose(0, 2, 1))
         _require(bool((skew <= SYMMETRY * np.abs(P).max(axis=(1, 2), keepdims=True)).all()))
-    _require(all(map(is_definite, Q)))
+    _require(all(map(has_information, Q)))
     # Robots use observations that are almost exact in one direction, and others have to read them.
     try:
         np.linalg.cholesky(R)

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
 from fej_slam_ros.core.models import Phi_all
 
@@ -32,6 +33,9 @@ POSITIONS = np.array([[0, 1, 3], [1, 2, 4], [3, 4, 5]])
 #: Number of factors at which a part of the chains ends: arrays of more leave the cache between
 #: two operations.
 MAX_PART = 16_384
+#: Why odometry cannot be used, although the covariance of each message was not singular.
+SINGULAR_ODOMETRY = (
+    'rounding makes the covariance of odometry singular, as of a gap of years in its stamps')
 
 
 class PartOfChains(NamedTuple):
@@ -217,7 +221,10 @@ class ReducedChains:
         moved = (self.Phi @ dx[a, :, None])[:, :, 0]
         rest = dx_b - moved - share * self.residuals
         # W (dx_b - ...) with W = S_i S^-1.
-        whitened = np.linalg.solve(self.covariances, rest[:, :, None])[:, :, 0]
+        try:
+            whitened = np.linalg.solve(self.covariances, rest[:, :, None])[:, :, 0]
+        except np.linalg.LinAlgError:
+            raise SingularError(SINGULAR_ODOMETRY) from None
         lengths = chains.lengths
         x, y, phi = np.repeat(whitened.T, lengths, axis=1)
         xi_x, xi_y, xi_phi = np.repeat(moved.T, lengths, axis=1)
@@ -267,13 +274,21 @@ def _unpacked(elements: Array) -> Array:
 
 
 def _inverse(elements: Array) -> Array:
-    """Return the inverses, as by `_packed`, of covariances of which these are the elements."""
+    """
+    Return the inverses, as by `_packed`, of covariances of which these are the elements.
+
+    Raises SingularError if there is none.
+
+    """
     xx, xy, yy, x_phi, y_phi, phi_phi = elements
     adjugate = np.stack([
         yy * phi_phi - y_phi * y_phi, x_phi * y_phi - xy * phi_phi,
         xx * phi_phi - x_phi * x_phi, xy * y_phi - yy * x_phi,
         xy * x_phi - xx * y_phi, xx * yy - xy * xy])
-    inverse: Array = adjugate / (xx * adjugate[0] + xy * adjugate[1] + x_phi * adjugate[3])
+    determinants = xx * adjugate[0] + xy * adjugate[1] + x_phi * adjugate[3]
+    if not determinants.all():
+        raise SingularError(SINGULAR_ODOMETRY)
+    inverse: Array = adjugate / determinants
     return inverse
 
 

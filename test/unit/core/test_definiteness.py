@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.definiteness import are_definite, is_definite
+from fej_slam_ros.core.geometry import pose_rotation
+from fej_slam_ros.core.definiteness import are_definite, has_information, is_definite
 
 
 def test_covariances_are_definite_together_as_each_alone():
@@ -31,3 +32,20 @@ def test_the_definiteness_of_extreme_covariances_is_known_without_a_warning(
 
     assert is_definite(P) is expected
     assert are_definite(P[None]).tolist() == [expected]
+
+
+@pytest.mark.filterwarnings('error')
+@pytest.mark.parametrize(('variances', 'expected'), [
+    ((1e-24, 1e-24, 1e-24), True), ((1e12, 1e12, 1e12), True), ((1e-3, 1e12, 1e-24), True),
+    ((1e-300, 1e-300, 1e-300), False), ((1.0, 1.0, 1e-25), False), ((1e-12, 1e12, 1.0), False),
+    ((1.0, 0.0, 1.0), False)])
+def test_a_velocity_has_information_if_its_covariance_is_definite_after_any_turn(
+    variances, expected,
+):
+    assert has_information(np.diag(variances)) is expected
+
+    for yaw in np.linspace(-3.0, 3.0, 25):
+        C = pose_rotation(yaw)
+        # Of a nanosecond.
+        Q = 1e-18 * C @ np.diag(variances) @ C.T
+        assert not expected or np.linalg.det(Q[:2, :2]) * Q[2, 2] > 0.0

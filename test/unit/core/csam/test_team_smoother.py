@@ -192,10 +192,12 @@ def exact(ms, twist_covariance):
     return odometry('r1', ms, twist_covariance=np.diag(twist_covariance).astype(float))
 
 
-def test_exact_odometry_is_rejected_and_bridged():
+@pytest.mark.parametrize('variances', [
+    (0.1, 0.0, 0.1), (1e-300, 1e-300, 1e-300), (1e-12, 1e12, 0.1)])
+def test_exact_odometry_is_rejected_and_bridged(variances):
     before = [odometry('r1', 0), scan('r1', 0, [(1, (2.0, 1.0))])]
     after = [odometry('r1', 200), scan('r1', 200, [(1, (1.81, 1.0))]), odometry('r2', 0)]
-    with_exact, _ = smoothed([*before, exact(100, [0.1, 0.0, 0.1]), *after])
+    with_exact, _ = smoothed([*before, exact(100, variances), *after])
     without, _ = smoothed([*before, *after])
 
     assert with_exact.statistics.rejection_counts['r1'] == {RejectionReason.BAD_COVARIANCE: 1}

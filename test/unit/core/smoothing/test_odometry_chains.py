@@ -8,6 +8,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.records import UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing import odometry_chains
@@ -121,3 +122,11 @@ def test_the_covariance_of_a_chain_does_not_depend_on_those_before_it(variance):
         return ChainedIncrements.of(chains, u[rows], Q[rows]).reduced(poses).covariances[-1]
 
     assert_array_equal(last_covariance(slice(None)), last_covariance(slice(10, None)))
+
+
+@pytest.mark.filterwarnings('error')
+def test_an_increment_whose_covariance_has_been_rounded_to_zero_determines_nothing():
+    chains = chains_of([(0, 1), (1, 2)])
+
+    with pytest.raises(SingularError, match='rounding makes the covariance of odometry singular'):
+        ChainedIncrements.of(chains, np.zeros((2, 3)), np.array([np.eye(3), np.zeros((3, 3))]))
