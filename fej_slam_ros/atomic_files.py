@@ -81,9 +81,14 @@ def write_json(path: Path, content: Any) -> None:
 
 def write_figure(path: Path, draw: Callable[..., None], *content: Any) -> None:
     """Write or replace a picture, drawn by a function of a binary file and the content."""
+    write_bytes(path, figure(draw, *content))
+
+
+def figure(draw: Callable[..., None], *content: Any) -> bytes:
+    """Return a picture, drawn by a function of a binary file and the content."""
     picture = BytesIO()
     draw(picture, *content)
-    write_bytes(path, picture.getvalue())
+    return picture.getvalue()
 
 
 class PartFile:

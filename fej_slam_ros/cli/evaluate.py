@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from fej_slam_ros.atomic_files import (
-    refuse_existing, write_csv, write_figure, write_json, write_text)
+    figure, refuse_existing, write_bytes, write_csv, write_json, write_text)
 from fej_slam_ros.cli.arguments import number_option, output_folder, require_matplotlib
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.geometry import Array
@@ -35,6 +35,7 @@ from fej_slam_ros.evaluation.coverage import REGIONS
 from fej_slam_ros.evaluation.run_evaluation import (
     ROBOT_ALIGNED, RunEvaluation, TEAM_ALIGNED, UNALIGNED)
 from fej_slam_ros.evaluation.run_result import MatchedPoses
+from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import recorded_truth, run_results
 from fej_slam_ros.ros.files.run_files import tum_line
@@ -114,17 +115,24 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
             report[name] = count
             print(f'{count} invalid {what} in {source} are left out')
     refuse_existing(_files(output, evaluation.matched, arguments.plots), arguments.force)
-    for name, matched in evaluation.matched.items():
-        _write_robot(output, name, matched, evaluation.nees.get(name))
-    if arguments.plots:
-        from fej_slam_ros.evaluation import figures
-
-        draw_all = figures.draw_trajectories, figures.draw_errors, figures.draw_nees
-        for name, draw in zip(FIGURES, draw_all):
-            write_figure(output / name, draw, evaluation)
-    write_json(output / 'evaluation.json', report)
+    pictures = _pictures(evaluation) if arguments.plots else {}
+    # Files of two evaluations would contradict each other.
+    with postponed():
+        for name, matched in evaluation.matched.items():
+            _write_robot(output, name, matched, evaluation.nees.get(name))
+        for name, picture in pictures.items():
+            write_bytes(output / name, picture)
+        write_json(output / 'evaluation.json', report)
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
+
+
+def _pictures(evaluation: RunEvaluation) -> dict[str, bytes]:
+    """Return the figures by the names of their files."""
+    from fej_slam_ros.evaluation import figures
+
+    draw_all = figures.draw_trajectories, figures.draw_errors, figures.draw_nees
+    return {name: figure(draw, evaluation) for name, draw in zip(FIGURES, draw_all)}
 
 
 def _files(output: Path, robots: Iterable[str], plots: bool) -> Iterator[Path]:

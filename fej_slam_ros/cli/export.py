@@ -9,8 +9,9 @@ beside the output are those to run the exported data with: what was applied to t
 
 from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,6 +27,7 @@ from fej_slam_ros.datasets import csv_tables
 from fej_slam_ros.datasets.g2o import conversion, files
 from fej_slam_ros.datasets.g2o.graph import Graph, graph_of
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.topic_names import TopicNames
@@ -42,10 +44,11 @@ IN_GRAPH = (
 
 
 class Exported(NamedTuple):
-    """Summary of an export."""
+    """An export that is not written yet."""
 
     report: list[str]  #: lines with the numbers of records
     robots: list[str]  #: names in the order in which `convert` numbers them
+    write: Callable[[], None]  #: writes the data
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -77,7 +80,10 @@ def run(arguments: Namespace) -> int:
         kept = {
             name: x for name, x in values.items()
             if name.rpartition('.')[2] not in arguments.applied}
-        write_text(beside, parameters.dump_values(kept | _ids(settings, exported.robots)))
+        # Files of two exports would contradict each other.
+        with postponed():
+            exported.write()
+            write_text(beside, parameters.dump_values(kept | _ids(settings, exported.robots)))
     print('\n'.join([*exported.report, f'wrote {output} and {beside}']))
     return 0
 
@@ -98,10 +104,10 @@ def _export_graph(bag: Path, settings: RunSettings, names: TopicNames, path: Pat
         name: trajectory.stamps for name, trajectory in team.trajectories.items()})
     if not graph.names:
         raise UserError(NO_ODOMETRY)
-    write_text(path, ''.join(f'{line}\n' for line in files.written(graph)))
+    text = ''.join(f'{line}\n' for line in files.written(graph))
     return Exported(
         [*_graph_report(graph), *_rejected(team.statistics, but=[RejectionReason.GATED])],
-        [*conversion.by_robot(graph.names)])
+        [*conversion.by_robot(graph.names)], partial(write_text, path, text))
 
 
 def _export_tables(
@@ -114,15 +120,19 @@ def _export_tables(
     if not any(isinstance(record, Odometry) for record in records):
         raise UserError(NO_ODOMETRY)
     tables = csv_tables.tables(records)
+    report = [
+        *(f'{name}: {len(rows) - 1} rows' for name, rows in tables.items()),
+        *_rejected(collector.statistics)]
+    robots = [robot.name for robot in csv_tables.settings(records).robots]
+    return Exported(report, robots, partial(_write_tables, folder, tables))
+
+
+def _write_tables(folder: Path, tables: Mapping[str, Iterable[Sequence[object]]]) -> None:
     for name in csv_tables.COLUMNS:
         if name in tables:
             write_csv(folder / name, tables[name])
         else:
             (folder / name).unlink(missing_ok=True)
-    report = [
-        *(f'{name}: {len(rows) - 1} rows' for name, rows in tables.items()),
-        *_rejected(collector.statistics)]
-    return Exported(report, [robot.name for robot in csv_tables.settings(records).robots])
 
 
 def _graph_report(graph: Graph) -> Iterator[str]:

@@ -327,3 +327,10 @@ def test_output_of_the_smoother_is_evaluated(evaluate, tmp_path):
     for robot in ('p', 'q'):
         assert report['robots'][robot]['ape']['unaligned']['position']['rmse'] == pytest.approx(
             own['rmse'][robot]['position'], abs=1e-12)
+
+
+@pytest.mark.usefixtures('interrupted_write')
+def test_an_interrupt_while_files_are_written_leaves_all_of_them(replayed, evaluate):
+    status, written, _ = evaluate(replayed / 'two_circles', '--no-plots')
+
+    assert (status, written is None) == (130, False)

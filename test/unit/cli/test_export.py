@@ -3,6 +3,7 @@
 """`export`: graphs and tables of a bag, which `convert` makes a bag with the same estimates of."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 from numpy.testing import assert_allclose
@@ -222,3 +223,13 @@ def test_observations_that_a_graph_cannot_have_are_counted(tmp_path, capsys):
     assert status == 0
     assert 'r1: poses: 2, observations: 1\n' in (said := capsys.readouterr().out)
     assert 'r1: rejected as no_identity: 1\n' in said
+
+
+@pytest.mark.usefixtures('interrupted_write')
+@pytest.mark.parametrize('kind', ['g2o', 'csv'])
+def test_an_interrupt_while_an_export_is_written_leaves_all_of_it(kind, tmp_path):
+    status, output = exported(kind, SHIPPED['two_circles'], tmp_path)
+
+    assert status == 130
+    assert Path(f'{output}.yaml').exists()
+    assert run_verb('convert', kind, '--input', output, '--output', tmp_path / 'back') == 0
