@@ -6,8 +6,8 @@ Writers of text, CSV, JSON and figures: a file appears complete or not at all.
 They raise UserError, with the path, the reason and a cure, if a file cannot be written.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, ExitStack, suppress
 import csv
 import errno
 from io import BytesIO, StringIO
@@ -67,16 +67,48 @@ def write_bytes(path: Path, content: bytes) -> None:
         part.keep()
 
 
-def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
-    """Write or replace a CSV file of rows of cells."""
+def write_all(contents: Mapping[Path, bytes]) -> None:
+    """
+    Write or replace some files, all or none: those of two runs would contradict each other.
+
+    The caller postpones signals.
+    """
+    made = [folder for folder in {path.parent for path in contents} if not folder.exists()]
+    try:
+        with ExitStack() as stack:
+            parts = [stack.enter_context(PartFile(path)) for path in contents]
+            for part, content in zip(parts, contents.values()):
+                part.write(content)
+                part.flush()
+            for part in parts:
+                part.keep()
+    finally:
+        for folder in made:
+            # It stays if there is anything in it.
+            with suppress(OSError):
+                folder.rmdir()
+
+
+def csv_bytes(rows: Iterable[Sequence[object]]) -> bytes:
+    """Return the content of a CSV file of rows of cells."""
     text = StringIO()
     csv.writer(text, lineterminator='\n').writerows(rows)
-    write_text(path, text.getvalue())
+    return text.getvalue().encode()
+
+
+def json_bytes(content: Any) -> bytes:
+    """Return the content of a JSON file."""
+    return f'{json.dumps(content, indent=2)}\n'.encode()
+
+
+def write_csv(path: Path, rows: Iterable[Sequence[object]]) -> None:
+    """Write or replace a CSV file of rows of cells."""
+    write_bytes(path, csv_bytes(rows))
 
 
 def write_json(path: Path, content: Any) -> None:
     """Write or replace a JSON file."""
-    write_text(path, json.dumps(content, indent=2) + '\n')
+    write_bytes(path, json_bytes(content))
 
 
 def write_figure(path: Path, draw: Callable[..., None], *content: Any) -> None:

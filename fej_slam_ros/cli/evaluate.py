@@ -25,8 +25,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.atomic_files import (
-    figure, refuse_existing, write_bytes, write_csv, write_json, write_text)
+from fej_slam_ros.atomic_files import csv_bytes, figure, json_bytes, refuse_existing, write_all
 from fej_slam_ros.cli.arguments import number_option, output_folder, require_matplotlib
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.geometry import Array
@@ -115,24 +114,21 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
             report[name] = count
             print(f'{count} invalid {what} in {source} are left out')
     refuse_existing(_files(output, evaluation.matched, arguments.plots), arguments.force)
-    pictures = _pictures(evaluation) if arguments.plots else {}
-    # Files of two evaluations would contradict each other.
+    contents = _pictures(output, evaluation) if arguments.plots else {}
+    for name, matched in evaluation.matched.items():
+        contents |= _robot_contents(output, name, matched, evaluation.nees.get(name))
     with postponed():
-        for name, matched in evaluation.matched.items():
-            _write_robot(output, name, matched, evaluation.nees.get(name))
-        for name, picture in pictures.items():
-            write_bytes(output / name, picture)
-        write_json(output / 'evaluation.json', report)
+        write_all(contents | {output / 'evaluation.json': json_bytes(report)})
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
 
 
-def _pictures(evaluation: RunEvaluation) -> dict[str, bytes]:
-    """Return the figures by the names of their files."""
+def _pictures(output: Path, evaluation: RunEvaluation) -> dict[Path, bytes]:
+    """Return the figures by their files."""
     from fej_slam_ros.evaluation import figures
 
     draw_all = figures.draw_trajectories, figures.draw_errors, figures.draw_nees
-    return {name: figure(draw, evaluation) for name, draw in zip(FIGURES, draw_all)}
+    return {output / name: figure(draw, evaluation) for name, draw in zip(FIGURES, draw_all)}
 
 
 def _files(output: Path, robots: Iterable[str], plots: bool) -> Iterator[Path]:
@@ -175,16 +171,19 @@ def _sources(arguments: argparse.Namespace) -> Sources:
     return Sources(run_names, truth, given or stored)
 
 
-def _write_robot(output: Path, name: str, matched: MatchedPoses, nees: Array | None) -> None:
+def _robot_contents(
+    output: Path, name: str, matched: MatchedPoses, nees: Array | None
+) -> dict[Path, bytes]:
+    """Return the contents of the files of a robot."""
     stamps = matched.stamps.tolist()
     estimated, true, covariances = _robot_files(output, name)
-    for file, poses in ((estimated, matched.poses), (true, matched.true)):
-        lines = (tum_line(stamp, pose) for stamp, pose in zip(stamps, poses))
-        write_text(file, '\n'.join(lines) + '\n')
+    contents = {
+        file: ''.join(f'{tum_line(stamp, pose)}\n' for stamp, pose in zip(stamps, poses)).encode()
+        for file, poses in ((estimated, matched.poses), (true, matched.true))}
     values = [np.nan] * len(stamps) if nees is None else nees.tolist()
-    write_csv(covariances, [COVARIANCE_HEADER, *(
+    return contents | {covariances: csv_bytes([COVARIANCE_HEADER, *(
         (stamp, *P[np.triu_indices(3)].tolist(), value if np.isfinite(value) else '')
-        for stamp, P, value in zip(stamps, matched.P, values))])
+        for stamp, P, value in zip(stamps, matched.P, values))])}
 
 
 def _tables(report: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:

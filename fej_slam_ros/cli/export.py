@@ -9,13 +9,12 @@ beside the output are those to run the exported data with: what was applied to t
 
 from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
-from fej_slam_ros.atomic_files import write_csv, write_text
+from fej_slam_ros.atomic_files import csv_bytes, write_all
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.bag_matches import matches_in
@@ -48,7 +47,8 @@ class Exported(NamedTuple):
 
     report: list[str]  #: lines with the numbers of records
     robots: list[str]  #: names in the order in which `convert` numbers them
-    write: Callable[[], None]  #: writes the data
+    contents: Mapping[Path, bytes]  #: of its files
+    obsolete: Sequence[Path] = ()  #: files of an earlier export that this one does not have
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -80,10 +80,11 @@ def run(arguments: Namespace) -> int:
         kept = {
             name: x for name, x in values.items()
             if name.rpartition('.')[2] not in arguments.applied}
-        # Files of two exports would contradict each other.
+        text = parameters.dump_values(kept | _ids(settings, exported.robots))
         with postponed():
-            exported.write()
-            write_text(beside, parameters.dump_values(kept | _ids(settings, exported.robots)))
+            write_all({**exported.contents, beside: text.encode()})
+            for path in exported.obsolete:
+                path.unlink(missing_ok=True)
     print('\n'.join([*exported.report, f'wrote {output} and {beside}']))
     return 0
 
@@ -107,7 +108,7 @@ def _export_graph(bag: Path, settings: RunSettings, names: TopicNames, path: Pat
     text = ''.join(f'{line}\n' for line in files.written(graph))
     return Exported(
         [*_graph_report(graph), *_rejected(team.statistics, but=[RejectionReason.GATED])],
-        [*conversion.by_robot(graph.names)], partial(write_text, path, text))
+        [*conversion.by_robot(graph.names)], {path: text.encode()})
 
 
 def _export_tables(
@@ -123,16 +124,10 @@ def _export_tables(
     report = [
         *(f'{name}: {len(rows) - 1} rows' for name, rows in tables.items()),
         *_rejected(collector.statistics)]
-    robots = [robot.name for robot in csv_tables.settings(records).robots]
-    return Exported(report, robots, partial(_write_tables, folder, tables))
-
-
-def _write_tables(folder: Path, tables: Mapping[str, Iterable[Sequence[object]]]) -> None:
-    for name in csv_tables.COLUMNS:
-        if name in tables:
-            write_csv(folder / name, tables[name])
-        else:
-            (folder / name).unlink(missing_ok=True)
+    return Exported(
+        report, [robot.name for robot in csv_tables.settings(records).robots],
+        {folder / name: csv_bytes(rows) for name, rows in tables.items()},
+        [folder / name for name in csv_tables.COLUMNS if name not in tables])
 
 
 def _graph_report(graph: Graph) -> Iterator[str]:

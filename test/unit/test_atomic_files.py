@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A file is replaced completely or not at all, whatever happens during writing."""
 
+from contextlib import contextmanager
 from itertools import count
 import os
 import resource
@@ -50,19 +51,37 @@ def test_a_kill_at_any_line_leaves_the_old_or_the_new_file(tmp_path):
     assert found == sorted(found, key=(OLD, NEW).index)
 
 
-def test_a_full_disk_leaves_the_old_file_and_is_reported(tmp_path):
-    path = tmp_path / 'file'
-    path.write_bytes(OLD)
+@contextmanager
+def files_of_at_most(size):
+    """Limit the size of files [bytes]."""
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
     try:
-        with pytest.raises(UserError, match=(
-                rf'^cannot write {path}: File too large: raise the limit of file sizes')):
-            atomic_files.write_bytes(path, NEW)
+        yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
+
+def test_a_full_disk_leaves_the_old_file_and_is_reported(tmp_path):
+    path = tmp_path / 'file'
+    path.write_bytes(OLD)
+    with files_of_at_most(1000), pytest.raises(UserError, match=(
+            rf'^cannot write {path}: File too large: raise the limit of file sizes')):
+        atomic_files.write_bytes(path, NEW)
+
     assert path.read_bytes() == OLD
+
+
+def test_of_some_files_all_are_replaced_or_none(tmp_path):
+    paths = [tmp_path / 'a' / 'first', tmp_path / 'a' / 'second', tmp_path / 'b' / 'third']
+    with files_of_at_most(1000), pytest.raises(UserError, match='File too large'):
+        atomic_files.write_all({paths[0]: OLD, paths[2]: OLD, paths[1]: NEW})
+    assert not [*tmp_path.iterdir()]
+
+    atomic_files.write_all(dict.fromkeys(paths, NEW))
+
+    assert [path.read_bytes() for path in paths] == [NEW] * 3
+    assert len([*tmp_path.rglob('*')]) == 5
 
 
 @pytest.mark.parametrize('write', [
