@@ -24,7 +24,8 @@ from fej_slam_ros.core.calibration.from_truth import NoiseScale, OUTLIER_PROBABI
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.offline_matching import Received, steps
-from fej_slam_ros.core.records import Odometry, PriorMap, Record, RobotScan, Scan
+from fej_slam_ros.core.records import (
+    MAX_LINEAR_HEADING_SIGMA, Odometry, PriorMap, Record, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
@@ -104,10 +105,12 @@ class _Search:
         self, settings: Settings, kinds: Sequence[str], prior: PriorMap | None,
         on_run: Callable[[], object],
     ) -> None:
-        # Joins and moved landmarks must not depend on the scales.
+        # Joins and moved landmarks must not depend on the scales: observations of robots in
+        # different frames have no innovations, so a later join would change the likelihood.
         self._ungated = replace(
             settings, filter=FILTER, gate_probability=1.0, join_probability=1.0,
-            inflate_rejected_scans=False, moved_landmarks='ignore')
+            inflate_rejected_scans=False, moved_landmarks='ignore',
+            join_heading_sigma=max(settings.join_heading_sigma, MAX_LINEAR_HEADING_SIGMA))
         self._gated = replace(self._ungated, gate_probability=1.0 - OUTLIER_PROBABILITY)
         self._kinds, self._prior, self._on_run = kinds, prior, on_run
 

@@ -83,6 +83,17 @@ def test_outliers_change_the_factors_little():
     assert found['landmark'].samples < counts(received(wrong))['landmark']
 
 
+def test_factors_do_not_depend_on_the_heading_that_robots_need_to_join():
+    # With 0.05 rad, the noise would decide when the second robot joins.
+    records = received(simulated(2, range=6, robot_sigma=[0.2, 0.2]))
+
+    strict, usual = (
+        most_likely_scales(team(join_heading_sigma=sigma), records, ['odometry', 'landmark'])
+        for sigma in (0.05, 0.1))
+
+    assert strict == usual
+
+
 def test_without_observations_the_factors_are_not_known():
     records = received([odometry('r1', ms) for ms in range(0, 2000, 100)])
 
