@@ -167,6 +167,14 @@ def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
             yield (
                 f'too little data to know {kind}_noise_scale to {100 * MAX_RELATIVE_ERROR:.0f} %:'
                 ' it is unchanged')
+    of_innovations = [
+        f'{kind}_noise_scale' for kind, estimate in estimates.items()
+        if estimate.source == 'innovations' and _is_known(estimates, kind)]
+    if of_innovations:
+        yield (
+            f'{", ".join(of_innovations)} from innovations cover no errors that persist for'
+            ' seconds, as those of wheels and cameras do: if the former noise covers them, the'
+            ' filter becomes overconfident, and only ground truth gives the right factors')
     for kind, estimate in estimates.items():
         if not 1.0 / MAX_USUAL < estimate.scales[''].scale < MAX_USUAL:
             yield (

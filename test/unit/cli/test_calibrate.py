@@ -97,6 +97,16 @@ def test_the_filter_is_consistent_after_calibration(calibrate):
         assert abs(math.log(nees_after)) < abs(math.log(nees_before))
 
 
+@pytest.mark.parametrize(('options', 'warns'), [
+    ((), False), (('--from', 'innovations'), True)])
+def test_factors_that_cover_no_errors_that_persist_are_reported(calibrate, options, warns):
+    _, printed, _ = calibrate(RECORDS, *options)
+
+    sentence = (
+        'odometry_noise_scale, landmark_noise_scale from innovations cover no errors that persist')
+    assert (sentence in printed) == warns
+
+
 def test_messages_that_were_recorded_twice_count_once(calibrate, places):
     calibrate(RECORDS)
     once = places[2].read_text()
