@@ -169,7 +169,7 @@ def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
                 ' it is unchanged')
     of_innovations = [
         f'{kind}_noise_scale' for kind, estimate in estimates.items()
-        if estimate.source == 'innovations' and _is_known(estimates, kind)]
+        if estimate.source == 'innovations' and is_known(estimates, kind)]
     if of_innovations:
         yield (
             f'{", ".join(of_innovations)} from innovations cover no errors that persist for'
