@@ -7,6 +7,8 @@ import math
 
 #: Cells of a row of a CSV file by column; None where a row is too short.
 Cells = Mapping[str, str | None]
+#: Largest magnitude of a number in a cell, far beyond any unit: squares of products stay finite.
+MAX_NUMBER = 1e60
 #: Largest integer in an array
 MAX_INTEGER = 2 ** 63 - 1
 
@@ -51,6 +53,8 @@ def _finite_number(name: str, text: str | None) -> float:
         value = math.nan
     if not math.isfinite(value):
         raise ValueError(f'where {name} is {text!r} and not a finite number')
+    if abs(value) > MAX_NUMBER:
+        raise ValueError(f'where {name} is {text!r}, beyond {MAX_NUMBER:g}')
     return value
 
 

@@ -40,3 +40,11 @@ def test_interval_shows_both_bounds():
 def test_a_cell_that_is_no_finite_number_is_named(text):
     with pytest.raises(ValueError, match=r'^where y is .* and not a finite number$'):
         finite_numbers({'x': '1', 'y': text}, 'xy')
+
+
+@pytest.mark.parametrize('text', ['1e61', '-1e308'])
+def test_a_cell_whose_number_has_no_finite_powers_is_named(text):
+    assert finite_numbers({'x': '-1e60'}, 'x') == [-1e60]
+
+    with pytest.raises(ValueError, match=f'^where x is {text!r}, beyond 1e\\+60$'):
+        finite_numbers({'x': text}, 'x')
