@@ -47,7 +47,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help='continue from a checkpoint of the node smoother; input from before it may be in the'
              ' bag again')
     ignored = ', '.join((*ignored_parameters(), 'checkpoint', 'autosave_period', 'restore'))
-    parser.epilog = f'Ignored parameters, of the estimator or of live runs only: {ignored}.'
+    parser.epilog = (
+        f'Ignored parameters, of the estimator or of live runs only: {ignored}. Those of the'
+        ' estimator are used to match observations without IDs.')
 
 
 def run(arguments: argparse.Namespace) -> int:
