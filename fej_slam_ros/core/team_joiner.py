@@ -253,31 +253,33 @@ class TeamJoiner:
         compared_at, reason = self._compared.get(names, (-COMPARISON_PERIOD, ''))
         if 0 <= newest - compared_at < COMPARISON_PERIOD:
             return JoinFailure(reason)
-        before, found = other.state, shared_landmarks(group.state, other.state)
-        failure: JoinFailure | None
-        if isinstance(found, JoinFailure):
-            failure = found
-        else:
-            same = found
-            other.filter.state = renamed(before, same)
-            # A landmark may look different from elsewhere, or be the neighbour of the right one.
-            most = min(len(found) // MATCHES_OF_MISFIT, len(found) - MIN_MATCHES)
-            misfits = self._joiner.misfits(group.filter, other.filter, most)
-            if misfits:
-                same = {old: new for old, new in found.items() if new not in misfits}
-                other.filter.state = renamed(before, same)
-            failure = self._joiner.join(group.filter, other.filter)
-            if failure is not None:
-                other.filter.state = before
-                # Matches of landmarks without ID may be wrong, which is no reason to remove any.
-                failure = replace(failure, outlying_landmarks=())
-            else:
-                self._landmark_manager.replace_ids({old[1]: new[1] for old, new in same.items()})
+        found = shared_landmarks(group.state, other.state)
+        failure = found if isinstance(found, JoinFailure) else self._join_by(group, other, found)
         if failure is None:
             self._compared.pop(names, None)
         else:
             self._compared[names] = newest, failure.reason
         return failure
+
+    def _join_by(
+        self, group: FrameGroup, other: FrameGroup, found: Mapping[LandmarkKey, LandmarkKey]
+    ) -> JoinFailure | None:
+        """Join another group whose landmarks, by key, were found in a group as others."""
+        before, same = other.state, found
+        other.filter.state = renamed(before, same)
+        # A landmark may look different from elsewhere, or be the neighbour of the right one.
+        most = min(len(found) // MATCHES_OF_MISFIT, len(found) - MIN_MATCHES)
+        misfits = self._joiner.misfits(group.filter, other.filter, most)
+        if misfits:
+            same = {old: new for old, new in found.items() if new not in misfits}
+            other.filter.state = renamed(before, same)
+        failure = self._joiner.join(group.filter, other.filter)
+        if failure is not None:
+            other.filter.state = before
+            # Matches of landmarks without ID may be wrong, which is no reason to remove any.
+            return replace(failure, outlying_landmarks=())
+        self._landmark_manager.replace_ids({old[1]: new[1] for old, new in same.items()})
+        return None
 
     def _join_via_robot(self, group: FrameGroup, robot: str) -> None:
         """Join a group to the team, whose state already contains one of its robots."""
