@@ -127,7 +127,7 @@ def _meant(name: str, known: Iterable[str]) -> list[str]:
     # Names of robots are left out, since two names with the same long one are always alike.
     by_field = {other.rpartition('.')[2]: other for other in sorted(
         known, key=lambda other: other.rpartition('.')[0] == owner)}
-    longer = sorted((other for other in by_field if other.startswith(field)), key=len)
+    longer = sorted((other for other in by_field if field and other.startswith(field)), key=len)
     alike = get_close_matches(field, by_field, n=1, cutoff=LEAST_SIMILARITY)
     return [by_field[found] for found in (*longer, *alike)]
 
