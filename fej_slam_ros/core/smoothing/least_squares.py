@@ -192,7 +192,9 @@ def solve(
     """
     Return the minimum that damped Gauss-Newton reaches from a start.
 
-    The minimum need not be the global one: far from the truth it depends on the start.
+    The minimum need not be the global one: far from the truth it depends on the start. Where a
+    robot turns once more than its odometry, between two poses with other measurements, the
+    iteration goes on without that turn, and the lower minimum counts.
 
     Parameters
     ----------
@@ -211,8 +213,13 @@ def solve(
     system, damping = copy(problem.system(start)), NielsenDamping()
     system.tolerance, system.loss = tolerance, loss
     values, _, iterations = gauss_newton(system, start, max_iterations, damping)
-    return Solution(
-        values, system.linearize(values).cost, system.unknowns, iterations, damping.rejected)
+    cost, unwound = system.linearize(values).cost, system.unwound(values)
+    if unwound is not None:
+        other, _, more = gauss_newton(system, unwound, max_iterations, damping)
+        iterations += more
+        if (other_cost := system.linearize(other).cost) < cost:
+            values, cost = other, other_cost
+    return Solution(values, cost, system.unknowns, iterations, damping.rejected)
 
 
 def information(
@@ -302,6 +309,11 @@ class System:
         return Information(
             self._equations.matrix(at.A), self._equations.coordinates, self._poses, self._points,
             at.chains)
+
+    def unwound(self, x: Values) -> Values | None:
+        """Return values without turns that contradict odometry, None if there are none."""
+        poses = self._chained.unwound(x.poses)
+        return None if poses is None else Values(poses, x.points)
 
     def linearize(self, x: Values) -> LinearizedFactors:
         A, b, cost = [], [], 0.0

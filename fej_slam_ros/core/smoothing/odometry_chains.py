@@ -17,12 +17,13 @@ W_i = S_i S^-1 of the correction at b, with the sum S_i up to it.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+import math
 from typing import NamedTuple
 
 import numpy as np
 
 from fej_slam_ros.core.gauss_newton import SingularError
-from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
+from fej_slam_ros.core.geometry import Array, compose, Flags, Indices, wrap_all
 from fej_slam_ros.core.models import Phi_all
 
 #: Rows and columns of the elements of a symmetric matrix (3, 3), and the element at each place.
@@ -132,6 +133,28 @@ class ChainedIncrements:
         """Return the increments u (m, 3), with covariances Q (m, 3, 3), of the chains."""
         elements = _packed(Q)
         return cls(chains, np.ascontiguousarray(u.T), elements, _inverse(elements))
+
+    def unwound(self, poses: Array) -> Array | None:
+        """
+        Return poses (n, 3) without chains that turn once more, or less, than odometry does.
+
+        A turn too many, spread over a chain, is a minimum: each increment contradicts a little.
+        The poses within such a chain are laid by odometry from its begin. None if there is none.
+
+        """
+        chains = self.chains
+        if not len(chains.rows):
+            return None
+        turned = wrap_all(self.u[2] - (poses[chains.ends, 2] - poses[chains.begins, 2]))
+        wound = np.abs(np.add.reduceat(turned, chains.firsts)) > math.pi
+        if not wound.any():
+            return None
+        unwound = poses.copy()
+        for first, length in zip(chains.firsts[wound].tolist(), chains.lengths[wound].tolist()):
+            # The end of the chain stays.
+            for k in range(first, first + length - 1):
+                unwound[chains.ends[k]] = compose(unwound[chains.begins[k]], self.u[:, k])
+        return unwound
 
     def reduced(self, poses: Array) -> 'ReducedChains':
         """Return the measurements between the ends of the chains, linearised at poses (n, 3)."""

@@ -3,6 +3,7 @@
 """The solution is the minimum of the weighted squares of all residuals."""
 
 from dataclasses import replace
+from itertools import pairwise
 import pickle
 
 import numpy as np
@@ -100,6 +101,31 @@ def test_the_minimum_equals_that_of_an_independent_solver(seed):
     assert_same(solution.values, expected, rtol=0.0, atol=1e-6)  # differences of the other solver
     assert solution.cost == pytest.approx(cost, rel=1e-10)
     assert solution.unknowns == 3 * (2 * 7 - 1) + 2 * 5
+
+
+@pytest.mark.parametrize('turns', [-1.0, 1.0])
+@pytest.mark.parametrize('ends', [0.0, 2.0])
+def test_a_turn_too_many_between_observed_poses_is_no_minimum(turns, ends):
+    """Gross errors, removed later, can wind a trajectory; each increment resists a little."""
+    count, step = 100, 0.02
+    poses = np.column_stack([
+        step * np.arange(count), np.zeros(count), np.linspace(0.0, ends, count)])
+    points = np.array([[1.0, 2.0], [3.0, -1.0], [0.5, 1.0]])
+    pairs = [(pose, landmark) for pose in (0, count - 1) for landmark in range(3)]
+    u = np.array([
+        [*turn(-a[2]) @ (b - a)[:2], wrapped((b - a)[2])] for a, b in pairwise(poses)])
+    z = np.array([turn(-poses[k, 2]) @ (points[m] - poses[k, :2]) for k, m in pairs])
+    problem = Problem(
+        OdometryFactors(
+            np.arange(count - 1), np.arange(1, count), u, np.diag([0.02, 0.02, 0.02]) ** 2),
+        LandmarkFactors(*np.array(pairs).T, z, 0.005 ** 2 * np.eye(2)))
+    wound = poses + turns * np.linspace([0.0, 0.0, 0.0], [0.0, 0.0, 2.0 * np.pi], count)
+    wound[:, 2] = wrapped(wound[:, 2])
+
+    solution = solve(problem, Values(wound, points))
+
+    assert_same(solution.values, Values(poses, points), **SAME)
+    assert solution.cost < 1e-15
 
 
 @pytest.mark.parametrize('seed', [4, 5, 6])
