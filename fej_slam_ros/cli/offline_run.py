@@ -133,10 +133,7 @@ def process(
             return session
 
         session = start(settings)
-        if changed := changes_before(session.settings):
-            logging.getLogger(__name__).warning(
-                'the run of the checkpoint began with changed parameters, which stay in force: %s',
-                changed)
+        _warn_of_changes(session.settings)
         sink: Sink[SessionT] = Sink()
         if arguments.write_bag:
             with postponed():
@@ -155,6 +152,14 @@ def process(
     yield session, summary
     for folder in used:
         _renew_picture(folder, arguments.picture)
+
+
+def _warn_of_changes(settings: RunSettings) -> None:
+    """Warn if the parameters of a restored run are not those that were given."""
+    if changed := changes_before(settings):
+        logging.getLogger(__name__).warning(
+            'the run of the checkpoint began with changed parameters, which stay in force: %s',
+            changed)
 
 
 def _check(arguments: argparse.Namespace, output_bag: Path) -> None:

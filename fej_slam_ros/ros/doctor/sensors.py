@@ -2,18 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check of sensors by what they see while the robot moves: pose, handedness, stamps, radii."""
 
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections import Counter
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
 import math
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
 
 from fej_slam_ros.core.calibration.sensor_pose import fit_sensor, SensorFit
-from fej_slam_ros.core.records import Odometry, Scan
+from fej_slam_ros.core.records import Odometry, Record, Scan
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.files import bags
@@ -44,6 +45,8 @@ ANY_RADIUS, MIN_POSTS, ALLOWED_SHARE = (0.01, 1.0), 100, 0.2
 #: parameters are; a frame may do so if no parameter names it.
 CORRUPTING_CONDITIONS, DOUBTFUL_CONDITIONS = {'scans_rejected', 'scan_duration'}, {'scan_stamp'}
 FRAME_CONDITION = 'laser_frame'
+#: How the observations of each robot agree with its odometry, None if there are too few.
+Fits = Mapping[str, SensorFit | None]
 #: What scans of a laser, and observations of landmarks, need where they are wrong.
 CURES = {
     'scan': (
@@ -63,13 +66,7 @@ def check(
     robots = [robot.name for robot in settings.estimation.robots]
     collector = RecordCollector(settings.estimation, needs_ids=False)
     inputs = Inputs(collector, settings.node)
-    topics = bags.topics(path, names)
-    with_scans = {
-        robot: of_robot for robot, of_robot in zip(detector.robots, detector.of_robots)
-        if f'{robot}/scan' in topics}
-    any_post = replace(
-        detector, robots=tuple(with_scans), of_robots=tuple(with_scans.values()),
-        min_radius=ANY_RADIUS[0], max_radius=ANY_RADIUS[1], static_time=0.0)
+    any_post = _of_any_post(detector, bags.topics(path, names))
     lasers = DetectorSession(any_post)
 
     def first_messages() -> Iterator[RawMessage]:
@@ -77,29 +74,42 @@ def check(
 
     posts = _posts(_received(first_messages(), inputs), lasers, collector.robots)
     records = [record for record, _ in collector.records]
-    odometry = {
-        robot: [r for r in records if isinstance(r, Odometry) and r.robot == robot]
-        for robot in robots}
-    fits = {robot: fit_sensor(odometry[robot], posts[robot]) for robot in with_scans}
-    reversed_fits: dict[str, SensorFit | None] = {}
+    fits = _fits(any_post.robots, records, posts)
+    reversed_fits: Fits = {}
     if any(fit is not None and fit.as_given > SUSPICIOUS for fit in fits.values()):
         other = DetectorSession(replace(any_post, reversed_beams=not detector.reversed_beams))
         posts = _posts(first_messages(), other, collector.robots)
-        reversed_fits = {robot: fit_sensor(odometry[robot], posts[robot]) for robot in with_scans}
+        reversed_fits = _fits(any_post.robots, records, posts)
+    landmark_fits = _fits(robots, records, [r for r in records if isinstance(r, Scan)])
     for robot in robots:
-        fit, reversed_fit = fits.get(robot), reversed_fits.get(robot)
-        if fit is not None:
-            if reversed_fit is not None and _explains(reversed_fit, fit):
-                yield _reversed_beams(robot, fit, reversed_fit, not detector.reversed_beams)
-            else:
-                yield from findings(f'{robot}/scan', fit)
-        landmarks = [r for r in records if isinstance(r, Scan) and r.robot == robot]
-        fit = fit_sensor(odometry[robot], sorted(landmarks, key=lambda scan: scan.stamp))
+        yield from _of_scans(
+            robot, fits.get(robot), reversed_fits.get(robot), detector.reversed_beams)
+        fit = landmark_fits[robot]
         if fit is not None:
             yield from findings(f'{robot}/landmarks', fit)
-        if robot in with_scans:
+        if robot in any_post.robots:
             yield from _radii(robot, lasers.radii[robot], detector)
             yield from _conditions(robot, lasers, collector.robots[robot].sensor_frame is None)
+
+
+def _of_any_post(detector: DetectorSettings, topics: Container[str]) -> DetectorSettings:
+    """Return settings by which posts of any radius are found, also those that seem to move."""
+    with_scans = [
+        of_robot for of_robot in zip(detector.robots, detector.of_robots)
+        if f'{of_robot[0]}/scan' in topics]
+    return replace(
+        detector, robots=tuple(name for name, _ in with_scans),
+        of_robots=tuple(of_robot for _, of_robot in with_scans),
+        min_radius=ANY_RADIUS[0], max_radius=ANY_RADIUS[1], static_time=0.0)
+
+
+def _fits(robots: Iterable[str], records: Sequence[Record], scans: Sequence[Scan]) -> Fits:
+    """Return how scans agree with the odometry of each robot."""
+    return {
+        robot: fit_sensor(
+            [r for r in records if isinstance(r, Odometry) and r.robot == robot],
+            sorted((s for s in scans if s.robot == robot), key=attrgetter('stamp')))
+        for robot in robots}
 
 
 def _received(messages: Iterable[RawMessage], inputs: Inputs) -> Iterator[RawMessage]:
@@ -111,17 +121,28 @@ def _received(messages: Iterable[RawMessage], inputs: Inputs) -> Iterator[RawMes
 
 def _posts(
     messages: Iterable[RawMessage], lasers: DetectorSession, robots: Mapping[str, RobotSettings]
-) -> dict[str, list[Scan]]:
-    """Return the landmarks in the scans of each robot, by stamps."""
-    posts: defaultdict[str, list[Scan]] = defaultdict(list)
+) -> list[Scan]:
+    """Return the landmarks in the scans of lasers."""
+    posts = []
     for message in messages:
         lasers.receive(message)
         for topic, found in lasers.take():
             robot, _, kind = topic.rpartition('/')
             if kind == 'landmarks':
-                posts[robot].append(incoming_clouds.scan(found, robots[robot])[0])
-    return defaultdict(list, {
-        robot: sorted(scans, key=lambda scan: scan.stamp) for robot, scans in posts.items()})
+                posts.append(incoming_clouds.scan(found, robots[robot])[0])
+    return posts
+
+
+def _of_scans(
+    robot: str, fit: SensorFit | None, other: SensorFit | None, reversed_beams: bool
+) -> Iterator[Finding]:
+    """Yield what explains the disagreement of scans, given that with beams in the other order."""
+    if fit is None:
+        return
+    if other is not None and _explains(other, fit):
+        yield _reversed_beams(robot, fit, other, not reversed_beams)
+    else:
+        yield from findings(f'{robot}/scan', fit)
 
 
 def _explains(other: SensorFit, fit: SensorFit) -> bool:
