@@ -6,6 +6,8 @@ Noise scale factors from errors against ground truth.
 Errors are those over a window: of odometry, of the relative pose; of observations, the sum of the
 errors with which a robot observes one landmark or robot. Errors of wheels, gyros and detectors
 persist for longer than a message, so that single ones would give too small a factor.
+
+A landmark whose true position is not recorded is where it is observed on average from true poses.
 """
 
 from bisect import bisect_left
@@ -23,7 +25,8 @@ from scipy.special import chdtr, chdtri
 from fej_slam_ros.core import models
 from fej_slam_ros.core.consistency import nees, pose_error
 from fej_slam_ros.core.definiteness import is_definite
-from fej_slam_ros.core.geometry import Array, between, compose, interpolated
+from fej_slam_ros.core.geometry import (
+    Array, between, compose, interpolated, rotation, transform)
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
@@ -39,6 +42,9 @@ ERROR_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
 #: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
 #: against that of an observation.
 MAX_TRUTH_GAP = NS // 4
+
+#: Minimum number of windows whose mean gives the position of a landmark.
+MIN_POSITION_WINDOWS = 5
 
 #: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
 #: tails of real noise, and so give factors that are too small.
@@ -115,9 +121,6 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
         elif isinstance(record, (Scan, RobotScan)):
             kind = 'robot' if isinstance(record, RobotScan) else 'landmark'
             scans[kind, record.robot].append(record)
-    if not settings.shared_landmark_ids:
-        # Which robot's IDs the true landmarks have is unknown.
-        truth.landmarks.clear()
     errors: dict[str, dict[str, list[float]]] = {
         kind: {robot.name: [] for robot in settings.robots} for kind in DOF}
     near = {}
@@ -125,11 +128,15 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
         of_robot = sorted(odometry[robot.name], key=attrgetter('stamp'))
         errors['odometry'][robot.name] += _odometry_errors(of_robot, truth, robot)
         near[robot.name] = NearTruth(truth, robot.name, of_robot)
-    for (kind, name), unordered in scans.items():
-        if name in near:
-            ordered = sorted(unordered, key=attrgetter('stamp'))
-            single = [e for scan in ordered for e in _observation_errors(scan, truth, near)]
-            errors[kind][name] += _in_windows(single)
+    ordered = {
+        key: sorted(of_kind, key=attrgetter('stamp')) for key, of_kind in scans.items()
+        if key[1] in near}
+    landmarks = _landmark_positions(
+        [scan for of_kind in ordered.values() for scan in of_kind if isinstance(scan, Scan)],
+        truth, near, settings.shared_landmark_ids)
+    for (kind, name), of_kind in ordered.items():
+        single = [e for scan in of_kind for e in _observation_errors(scan, landmarks, near)]
+        errors[kind][name] += _in_windows(single)
     return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 
 
@@ -193,6 +200,64 @@ class NearTruth:
         return interpolated(earlier.pose, later.pose, fraction)
 
 
+class _Position(NamedTuple):
+    """Position of a landmark."""
+
+    point: Array  #: (2,) [m]
+    #: factor on errors, above 1 for the mean of few windows, nearer to them than the truth
+    scale: float
+
+
+#: Position by ID, and by robot if each has IDs of its own, else by ''.
+_Positions = dict[tuple[str, int], _Position]
+
+
+class _Observed(NamedTuple):
+    """A landmark as observed from a true pose."""
+
+    robot: str
+    stamp: int  #: [ns]
+    point: Array  #: (2,) [m]
+    P: Array  #: (2, 2) [m^2]
+
+
+def _landmark_positions(
+    scans: Iterable[Scan], truth: RecordedTruth, near: Mapping[str, NearTruth],
+    has_shared_ids: bool,
+) -> _Positions:
+    """Return the true positions of landmarks, and the means of observations of others."""
+    # If each robot has IDs of its own, it is not known whose the true landmarks have.
+    positions: _Positions = {
+        ('', id_): _Position(point[:2], 1.0) for id_, point in truth.landmarks.items()
+        if has_shared_ids}
+    observed: defaultdict[tuple[str, int], list[_Observed]] = defaultdict(list)
+    for scan in scans:
+        pose = near[scan.robot].pose(scan.stamp)
+        for o in scan.observations if pose is not None else ():
+            key = '' if has_shared_ids else scan.robot, o.id
+            if pose is not None and key not in positions:
+                C = rotation(pose[2])
+                observed[key].append(_Observed(
+                    scan.robot, scan.stamp, transform(pose, o.z[None])[0], C @ o.R @ C.T))
+    for key, of_landmark in observed.items():
+        windows = len({(o.robot, o.stamp // ERROR_WINDOW) for o in of_landmark})
+        if windows >= MIN_POSITION_WINDOWS:
+            positions[key] = _Position(
+                _mean_position(of_landmark), math.sqrt(windows / (windows - 1)))
+    return positions
+
+
+def _mean_position(observed: Sequence[_Observed]) -> Array:
+    """Return the weighted mean (2,) of observations without outliers."""
+    points, P = np.array([o.point for o in observed]), np.array([o.P for o in observed])
+    d2 = nees(points - np.median(points, axis=0), P)
+    kept = d2 <= _outlier_limit(2) * noise_scale(d2.tolist(), 2).scale ** 2
+    weights = np.linalg.inv(P[kept])
+    mean: Array = np.linalg.solve(
+        weights.sum(axis=0), np.einsum('kij,kj->i', weights, points[kept]))
+    return mean
+
+
 class ObservationError(NamedTuple):
     """Error of an observation of a landmark or robot, in the robot's frame."""
 
@@ -203,22 +268,24 @@ class ObservationError(NamedTuple):
 
 
 def _observation_errors(
-    scan: Scan | RobotScan, truth: RecordedTruth, near: Mapping[str, NearTruth]
+    scan: Scan | RobotScan, landmarks: _Positions, near: Mapping[str, NearTruth]
 ) -> Iterator[ObservationError]:
-    """Yield the error of each observation whose true position is known."""
+    """Yield the error of each observation of a known position."""
     pose = near[scan.robot].pose(scan.stamp)
     if pose is None:
         return
     for o in scan.observations:
         observed: int | str
         if isinstance(o, Observation):
-            observed, point = o.id, truth.landmarks.get(o.id)
+            observed = o.id
+            position = landmarks.get(('', o.id)) or landmarks.get((scan.robot, o.id))
         else:
             observed = o.observed
-            point = near[observed].pose(scan.stamp) if observed in near else None
-        if point is not None:
-            e = o.z - models.h(pose[None], point[None, :2])[0]
-            yield ObservationError(observed, scan.stamp, e, o.R)
+            other = near[observed].pose(scan.stamp) if observed in near else None
+            position = None if other is None else _Position(other[:2], 1.0)
+        if position is not None:
+            e = o.z - models.h(pose[None], position.point[None])[0]
+            yield ObservationError(observed, scan.stamp, position.scale * e, o.R)
 
 
 def _in_windows(errors: Sequence[ObservationError]) -> Iterator[float]:

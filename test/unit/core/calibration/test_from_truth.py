@@ -142,10 +142,44 @@ def test_errors_of_observations_that_persist_count_in_full():
     assert errors['landmark']['r1'] == pytest.approx([50.0] * 12)
 
 
-def test_ids_of_each_robot_give_no_landmark_errors():
-    found = scales(simulated(1), shared_landmark_ids=False)
+@pytest.mark.parametrize('shared', [True, False])
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_positions_of_landmarks_need_not_be_known(seed, shared):
+    records = claiming(simulated(seed), STATED)
+    if shared:
+        records = [r for r in records if not isinstance(r, TrueLandmarks)]
+    else:
+        # True landmarks have the IDs of another robot.
+        records = [
+            replace(r, positions={k: x + 1.0 for k, x in r.positions.items()})
+            if isinstance(r, TrueLandmarks) else r for r in records]
 
-    assert found.keys() == {'odometry', 'robot'}
+    found = scales(records, shared_landmark_ids=shared)['landmark']['']
+
+    assert abs(math.log(found.scale / 0.5)) < 4.0 * found.relative_error
+    assert found.samples > 500
+
+
+def test_a_gross_error_does_not_move_a_landmark_whose_position_is_not_known():
+    truth = [true_pose('r1', ms, (0.0, 0.0, 0.0)) for ms in range(0, 60_001, 100)]
+    rng = np.random.default_rng(1)
+    # Independent errors of 0.1 m, as stated, and one of 50 m.
+    points = np.array([3.0, 4.0]) + rng.normal(0.0, 0.1, (600, 2))
+    points[300] += 50.0
+    scans = [scan('r1', 100 * k, [(1, point)]) for k, point in enumerate(points)]
+
+    errors = normalized_errors([*truth, *scans], team())['landmark']['r1']
+
+    # Of chi-square with 2 degrees of freedom: 12 windows have a mean of 2 within 0.6 (one sigma).
+    assert len(errors) == 12
+    assert abs(np.mean(errors) - 2.0) < 4.0 * 0.6
+
+
+def test_a_landmark_that_is_observed_in_few_windows_has_no_position():
+    truth = [true_pose('r1', ms, (0.0, 0.0, 0.0)) for ms in range(0, 20_001, 100)]
+    scans = [scan('r1', ms, [(1, (3.0, 4.0))]) for ms in range(0, 20_000, 100)]
+
+    assert not normalized_errors([*truth, *scans], team())
 
 
 def test_without_ground_truth_there_are_no_errors():
