@@ -17,9 +17,9 @@ import numpy as np
 
 from fej_slam_ros.core.data_association.constellations import can_be_found
 from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
+from fej_slam_ros.core.data_association.failure_detection import ScanMatchStatistics
 from fej_slam_ros.core.data_association.joint_compatibility import (
     JointCompatibilityMatcher, MatchingResult)
-from fej_slam_ros.core.data_association.failure_detection import ScanMatchStatistics
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, position_indices, Robot, TentativeEvidence)

@@ -5,8 +5,8 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.geometry import pose_rotation
 from fej_slam_ros.core.definiteness import are_definite, has_information, is_definite
+from fej_slam_ros.core.geometry import pose_rotation
 
 
 def test_covariances_are_definite_together_as_each_alone():

@@ -5,10 +5,10 @@
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.data_association.constellations import renamed, shared_landmarks
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.geometry import inverse, transform
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.data_association.constellations import renamed, shared_landmarks
 
 G = np.array([4.0, -3.0, 2.0])
 SIGMA = 0.03
