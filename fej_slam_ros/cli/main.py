@@ -104,15 +104,22 @@ def _run(command: str, verb: str, words: list[str]) -> int:
             sys.stdout.flush()
             return status
     except BrokenPipeError:
-        # Whoever reads the output, such as `head`, has ended; Python flushes it once more at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        # Whoever reads the output, such as `head`, has ended.
+        _discard_output()
         return 1
     except KeyboardInterrupt:
         return 0 if verb in UNTIL_INTERRUPTED else INTERRUPTED
     except (UserError, OSError, ModuleNotFoundError) as error:
         sentence, status = _explained(error)
         print(f'{command}: {sentence}', file=sys.stderr)
+        if isinstance(error, OSError) and error.filename is None:
+            _discard_output()
         return status
+
+
+def _discard_output() -> None:
+    """Discard the output that cannot be written, which Python would write once more at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _open_closed_streams() -> None:

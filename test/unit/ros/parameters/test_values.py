@@ -95,7 +95,7 @@ PARSERS = {
     'adapter': (parse_adapter, adapter_settings.known_parameters)}
 
 
-@pytest.mark.parametrize(('node', 'other'), permutations(PARSERS, 2))
+@pytest.mark.parametrize(('node', 'other'), [*permutations(PARSERS, 2)])
 def test_no_name_is_proposed_for_a_parameter_of_another_node_in_a_shared_file(node, other):
     parser, names = PARSERS[node]
     unknown = PARSERS[other][1](TEAM).keys() - names(TEAM)
