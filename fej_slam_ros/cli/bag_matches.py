@@ -6,10 +6,11 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from fej_slam_ros.cli.bag_input import has_landmarks_without_ids, team_messages
+from fej_slam_ros.cli.bag_input import has_landmarks_without_ids
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.matches import Matches
 from fej_slam_ros.core.offline_matching import match
+from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.parameters import RunSettings
@@ -23,6 +24,7 @@ def matches_in(bag: Path, settings: RunSettings, names: TopicNames) -> Matches |
     if LINEARIZATIONS[estimation.filter].needs_truth or (
             not has_landmarks_without_ids(bag, estimation, names)):
         return None
-    records = collect(team_messages(bag, estimation, names), settings, needs_ids=False).records
+    # What the bag lacks is said where it is read for the run itself.
+    records = collect(bags.read(bag, names), settings, needs_ids=False).records
     with tqdm(desc='match', unit='step', disable=None) as bar:
         return match(estimation, records, prior_map(settings), bar.update)

@@ -232,12 +232,13 @@ def _landmark_positions(
         if has_shared_ids}
     observed: defaultdict[tuple[str, int], list[_Observed]] = defaultdict(list)
     for scan in scans:
-        pose = near[scan.robot].pose(scan.stamp)
-        for o in scan.observations if pose is not None else ():
-            key = '' if has_shared_ids else scan.robot, o.id
-            if pose is not None and key not in positions:
-                C = rotation(pose[2])
-                observed[key].append(_Observed(
+        owner = '' if has_shared_ids else scan.robot
+        unknown = [o for o in scan.observations if (owner, o.id) not in positions]
+        pose = near[scan.robot].pose(scan.stamp) if unknown else None
+        if pose is not None:
+            C = rotation(pose[2])
+            for o in unknown:
+                observed[owner, o.id].append(_Observed(
                     scan.robot, scan.stamp, transform(pose, o.z[None])[0], C @ o.R @ C.T))
     for key, of_landmark in observed.items():
         windows = len({(o.robot, o.stamp // ERROR_WINDOW) for o in of_landmark})
