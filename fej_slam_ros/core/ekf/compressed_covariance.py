@@ -68,11 +68,11 @@ class CompressedCovariance:
         self._members = members
         P = whole.matrix.at(members[:, None], members)
         cross = whole.matrix.columns(members)[:whole.dimension]
-        #: C of all states from before the submap; as many columns as there are proxies, and zero
-        #: columns for more
-        L, self._C, _ = whiten(P, cross, np.diag(P))
+        L, C, _ = whiten(P, cross, np.diag(P))
         # States of the core: members, proxies, new members.
         g = L.shape[1]
+        #: C in Fortran order, with zero rows for states and zero columns for proxies to come
+        self._C = _extended(C, len(whole.matrix.lower), g)
         self._core = Covariance()
         self._core.insert(np.block([[P, L], [L.T, np.eye(g)]]))
         self._proxies = np.arange(a, a + g)
@@ -124,7 +124,7 @@ class CompressedCovariance:
         C_l, k, b = self._combination(states), core.dimension, len(states)
         x_hat[states] += C_l @ self._dg
         cross = product(C_l, core.columns(self._proxies)[:k].T)
-        C, P_l = self._C[:, :len(self._proxies)], P.at(states[:, None], states)
+        C, P_l = self._C[:P.dimension, :len(self._proxies)], P.at(states[:, None], states)
         rest = P_l - C_l @ C_l.T
         L, C_added, _ = whiten(
             rest, P.columns(states)[:len(C)] - product(C, C_l.T), np.diag(P_l))
@@ -238,9 +238,8 @@ class CompressedCovariance:
         n, members = self.dimension, self._members
         core, P = self._core_index[members], self._core.matrix
         P.settle()
-        C = np.zeros((len(self._whole.matrix.lower), len(self._proxies)), order='F')
-        for part in ranges(len(self._proxies), PIECE_ELEMENTS / n):
-            C[:len(self._C), part] = self._C[:, part]
+        g, capacity = len(self._proxies), len(self._whole.matrix.lower)
+        C = self._C[:, :g] if len(self._C) == capacity else _extended(self._C, capacity, g)
         W = product(self._learnt_root().T, C.T, may_end).T  # 2 n a p, in Fortran order
         P_gA = P.at(self._proxies[:, None], core)
         P_A, dx = product(C, P_gA, may_end), C[:n] @ self._dg  # 2 n a (members)
@@ -308,10 +307,8 @@ class CompressedCovariance:
         """Add columns of C for proxies that are to be added."""
         count, needed = len(self._proxies), len(self._proxies) + columns.shape[1]
         if needed > self._C.shape[1]:
-            stored = np.zeros((len(self._C), 2 * needed), order='F')
-            stored[:, :count] = self._C[:, :count]
-            self._C = stored
-        self._C[:, count:needed] = columns
+            self._C = _extended(self._C, len(self._C), 2 * needed)
+        self._C[:len(columns), count:needed] = columns
 
     def _P_core(self) -> Array:
         """Return the change of P by the core's states: their P, less I of the proxies."""
@@ -337,6 +334,14 @@ class CompressedCovariance:
         self._members = np.append(self._members, slot.indices)
         self._core_index = np.append(self._core_index, in_core.indices)
         return slot
+
+
+def _extended(C: Array, rows: int, columns: int) -> Array:
+    """Return C (n, g) in a Fortran array of more rows and other columns, zero beyond C."""
+    extended = np.zeros((rows, columns), order='F')
+    for part in ranges(min(C.shape[1], columns), PIECE_ELEMENTS / max(rows, 1)):
+        extended[:len(C), part] = C[:, part]
+    return extended
 
 
 #: The two forms of the joint covariance, with the same methods for the filter's steps.
