@@ -77,20 +77,11 @@ def fit_to_truth(
     The errors, None if there is too little ground truth.
 
     """
-    known, poses = trajectory(odometry)
-    stamps: list[tuple[int, int]] = []
-    begin: int | None = None
-    for stamp in known.tolist():
-        if begin is not None and stamp - begin < MIN_TRUTH_TIME:
-            continue
-        if truth.covers(odometry[0].robot, stamp):
-            # Over a gap the heading may have turned by more than half a turn.
-            if begin is not None and stamp - begin <= MAX_TRUTH_TIME:
-                stamps.append((begin, stamp))
-            begin = stamp
-    if len(stamps) < MIN_FIT_PAIRS:
+    intervals = _true_intervals(odometry, truth)
+    if len(intervals) < MIN_FIT_PAIRS:
         return None
-    firsts, lasts = np.array(stamps, np.int64).T
+    known, poses = trajectory(odometry)
+    firsts, lasts = np.array(intervals, np.int64).T
     (_, before), (_, after) = (
         truth.find_all(odometry[0].robot, times.tolist()) for times in (firsts, lasts))
     true = models.h_pose(before, after)
@@ -108,6 +99,23 @@ def fit_to_truth(
     spread = SIGMA_PER_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
     return _significant(
         lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), firsts, given)
+
+
+def _true_intervals(
+    odometry: Sequence[Odometry], truth: RecordedTruth
+) -> list[tuple[int, int]]:
+    """Return the intervals between stamps of odometry [ns] at whose ends there is ground truth."""
+    intervals: list[tuple[int, int]] = []
+    begin: int | None = None
+    for stamp in sorted({record.stamp for record in odometry}):
+        if begin is not None and stamp - begin < MIN_TRUTH_TIME:
+            continue
+        if truth.covers(odometry[0].robot, stamp):
+            # Over a gap the heading may have turned by more than half a turn.
+            if begin is not None and stamp - begin <= MAX_TRUTH_TIME:
+                intervals.append((begin, stamp))
+            begin = stamp
+    return intervals
 
 
 def fit_to_landmarks(

@@ -3,7 +3,8 @@
 """Step 0: the joint state of all robots that the first scans relate, "Initialization" of [Liu]."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
+from functools import partial
 from itertools import islice
 import sys
 
@@ -50,25 +51,12 @@ def initialize(
     observed = [landmark for key, landmark in state.landmarks.items() if key in keys]
     rest = [landmark for key, landmark in state.landmarks.items() if key not in keys]
     prior = _estimates(state, robots, observed)
-    new_poses, shared = _determined(prior, scans)
-    if len(shared) > max_new:
-        # No pose may depend on landmarks that are not started.
-        usable = {*prior.points, *islice(shared, max_new)}
-        scans = {
-            name: [(key, observation) for key, observation in scan if key in usable]
-            for name, scan in scans.items()}
-        new_poses, shared = _determined(prior, scans)
+    scans, new_poses, shared = _determined(prior, scans, max_new)
     if not new_poses and not shared:
         return None
-
-    def linearized_at(at_poses: Poses, at_points: Points) -> tuple[Poses, Points]:
-        # The poses of other robots are in no Jacobian, and their ground truth may be missing.
-        observing = {name: x for name, x in at_poses.items() if name in scans}
-        observing, at_points = linearization.initialization_points(
-            state, observing, at_points, stamp)
-        return {**at_poses, **observing}, at_points
-
-    solved = method(prior, new_poses, shared, scans, linearized_at)
+    solved = method(
+        prior, new_poses, shared, scans,
+        partial(_linearized_at, linearization, state, scans.keys(), stamp))
     known = prior
     if rest:
         known = _estimates(state, robots, [*observed, *rest])
@@ -79,14 +67,32 @@ def initialize(
     return located
 
 
-def _determined(prior: InitialAlignment, scans: InitialScans) -> tuple[Poses, Points]:
-    """Return first guesses of the new robots and of the new landmarks that several observe."""
+def _determined(
+    prior: InitialAlignment, scans: InitialScans, max_new: int
+) -> tuple[InitialScans, Poses, Points]:
+    """Return the scans to use, and guesses of the new robots and shared landmarks in them."""
     poses, points = closed_form(prior.poses, prior.points, scans)
     observers = Counter(key for name in poses for key, _ in scans.get(name, ()))
-    return (
-        {name: x for name, x in poses.items() if name not in prior.poses},
-        {key: x for key, x in points.items()
-         if observers[key] > 1 and key not in prior.points})
+    shared = {
+        key: x for key, x in points.items() if observers[key] > 1 and key not in prior.points}
+    if len(shared) > max_new:
+        # No pose may depend on landmarks that are not started.
+        usable = {*prior.points, *islice(shared, max_new)}
+        return _determined(prior, {
+            name: [(key, observation) for key, observation in scan if key in usable]
+            for name, scan in scans.items()}, max_new)
+    return scans, {name: x for name, x in poses.items() if name not in prior.poses}, shared
+
+
+def _linearized_at(
+    linearization: Linearization, state: JointState, observers: Container[str], stamp: int,
+    poses: Poses, points: Points,
+) -> tuple[Poses, Points]:
+    """Return the points at which the covariance is linearised, given the solution."""
+    # The poses of other robots are in no Jacobian, and their ground truth may be missing.
+    observing = {name: x for name, x in poses.items() if name in observers}
+    observing, points = linearization.initialization_points(state, observing, points, stamp)
+    return {**poses, **observing}, points
 
 
 def _estimates(
