@@ -65,7 +65,7 @@ class EstimatorNode(SessionNode):
         with between_pieces(self._serve_odometry, self._stop.is_overdue):
             is_late = self._publish_due_steps()
             if self._is_input_paused():
-                self._last_input = None
+                self._pause.rest()
                 while self._publish(self._session.release(1)) and not self._has_served:
                     pass
             self.is_behind = self._maps.publish_next() or is_late or self._has_served

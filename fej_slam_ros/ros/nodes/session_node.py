@@ -24,25 +24,22 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.nodes import log_writer
-from fej_slam_ros.ros.nodes.endpoints import check_topic_names, end_service, is_installed
+from fej_slam_ros.ros.nodes.endpoints import end_service
+from fej_slam_ros.ros.nodes.input_pause import InputPause
 from fej_slam_ros.ros.nodes.live_parameters import LiveParameters
 from fej_slam_ros.ros.nodes.map_publisher import MapPublisher
 from fej_slam_ros.ros.nodes.node_diagnostics import NodeDiagnostics
 from fej_slam_ros.ros.nodes.node_files import next_folder, NodeFiles, REQUEST_WAIT
-from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.ros_process import Stop
 from fej_slam_ros.ros.nodes.run_saver import RunSaver
 from fej_slam_ros.ros.nodes.settings_node import SettingsNode
+from fej_slam_ros.ros.nodes.team_endpoints import TeamEndpoints
 from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD
-from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.late_starts import StartCheck
 from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 from fej_slam_ros.ros.session.session import Session
-
-#: Time [ns] by which a clock that goes back is still the same one.
-MAX_CLOCK_JITTER = NS // 10
 
 
 class SessionNode(SettingsNode):
@@ -71,13 +68,13 @@ class SessionNode(SettingsNode):
         self._stop = stop
         self.received = self.taken = 0
         self.is_active = self.is_behind = False
-        self._last_input: int | None = None
+        self._pause = InputPause()
         self._topics = NodeTopics(self, self._receive)
         self._files = NodeFiles(self.get_logger())
         self._maps = MapPublisher(self._topics, stop.is_overdue)
         self._diagnostics = NodeDiagnostics(self, self._topics, self._files)
         self._saver = RunSaver(self.get_logger(), self._files, lambda: self._session)
-        self._relocalize_services = RelocalizeServices(self, self._relocalization)
+        self._endpoints = TeamEndpoints(self, self._topics, self._relocalization)
         self._has_session = self._is_in_step = False
         self._live_parameters = LiveParameters(
             self, self._change_parameters, self._changeable_values)
@@ -120,9 +117,8 @@ class SessionNode(SettingsNode):
         # A restored run may have another team, and parameters that were changed.
         self._live_parameters.match()
         self._configured.callback(self._discard_files)
-        self._configured.callback(self._topics.match_outputs, {}, active=False)
-        self._configured.callback(self._relocalize_services.match, ())
-        self._match_topics()
+        self._configured.callback(self._endpoints.close)
+        self._endpoints.match(self._session, self.is_active)
         for service in (
                 self.create_service(Trigger, '~/reset', self._reset),
                 self.create_service(Trigger, '~/save', self._saver.save)):
@@ -134,7 +130,7 @@ class SessionNode(SettingsNode):
         """Subscribe to the inputs and start the timers."""
         self.is_active = True
         self._activated.callback(self._topics.match_inputs, {})
-        self._match_topics()
+        self._endpoints.match(self._session, self.is_active)
         self._map_timer = self.start_timer(
             self._settings.node.map_period, lambda: self._maps.renew(self._session.outputs))
         self.start_timer(DIAGNOSTICS_PERIOD, self._publish_diagnostics)
@@ -220,23 +216,14 @@ class SessionNode(SettingsNode):
     def _change_team(self, names: Sequence[str]) -> None:
         if not self._has_session:
             raise UsageError('the team can only change during a run: configure the node first')
-        self._check_robots(names)
+        self._endpoints.check_robots(self._session, names)
         self._session.change_team(names)
         self._maps.drop()
-        self._match_topics()
-
-    def _check_robots(self, names: Sequence[str]) -> None:
-        """Check the names of the topics of robots while the team is as it was."""
-        member = next(iter(self._session.consumer.robots))
-        topics = [*self._session.outputs.topics, *self._input_types(), f'{member}/relocalize']
-        for name in parameters.robot_names(names):
-            check_topic_names(self, (
-                f'{name}/{topic.removeprefix(f"{member}/")}' for topic in topics
-                if topic.startswith(f'{member}/')))
+        self._endpoints.match(self._session, self.is_active)
 
     def _stop_listening(self) -> None:
         self.is_active = False
-        self._last_input = None
+        self._pause.rest()
         self._activated.close()
 
     def _start_session(self, settings: RunSettings) -> None:
@@ -254,7 +241,7 @@ class SessionNode(SettingsNode):
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._session.log.topic_name = self.resolve_topic_name
         self._maps.drop()
-        self._last_input = None
+        self._pause.rest()
 
     def _end_session(self) -> None:
         if self._settings.node.autosave_period:
@@ -295,27 +282,10 @@ class SessionNode(SettingsNode):
     def _discard_files(self) -> None:
         self._session.discard_files()
 
-    def _match_topics(self) -> None:
-        """Create the outputs and, if active, the inputs of the present team; destroy others."""
-        outputs, inputs = self._session.outputs.topics, self._input_types()
-        check_topic_names(self, [*outputs, *inputs])
-        self._topics.match_outputs(outputs, self.is_active)
-        self._topics.match_inputs(inputs if self.is_active else {})
-        self._relocalize_services.match(
-            name for name in self._session.consumer.robots if f'{name}/set_pose' in inputs)
-        if self.is_active:
-            # The anchor of a smoother may have left, or be that of other smoothers.
-            self._topics.watch_first(
-                topic for topic in self._session.inputs.start_check.topics() if topic in inputs)
-
     def _relocalization(self, robot: str) -> PosePrior:
         if not self.is_active:
             raise UsageError(f'the {self.get_name()} is not active: activate it first')
         return self._session.relocalization(robot)
-
-    def _input_types(self) -> dict[str, str]:
-        inputs = self._session.inputs
-        return inputs.topics | (inputs.static_topics if is_installed(TF_TYPE) else {})
 
     def _receive(self, topic: str, type_name: str, raw: bytes) -> None:
         with self.timed_callback():
@@ -323,7 +293,7 @@ class SessionNode(SettingsNode):
             now = self._now()
             # Steps do not wait for smoothers of other robots, whose hellos never end.
             if topic != EXCHANGE_TOPIC:
-                self._last_input = now
+                self._pause.receive(now)
             # Predicted poses do not wait for the steps.
             self._topics.publish(self._session.receive(RawMessage(topic, type_name, now, raw)))
             if self._session.inputs.time_jump_detector.has_ended_run() and not self._is_in_step:
@@ -331,13 +301,7 @@ class SessionNode(SettingsNode):
                 self._restart()
 
     def _is_input_paused(self) -> bool:
-        """Return whether input has arrived before, but not for ``stale_after``."""
-        now = self._now()
-        if now is None or self._last_input is None:
-            return False
-        # The input has also ended if the clock went back.
-        stale_after = self._settings.estimation.stale_after * 1e9
-        return not -MAX_CLOCK_JITTER <= now - self._last_input <= stale_after
+        return self._pause.has_begun(self._now(), self._settings.estimation.stale_after)
 
     def _publish_maps_and_diagnostics(self) -> None:
         # Large maps, which take long, are left out when the process is to end.
@@ -346,7 +310,7 @@ class SessionNode(SettingsNode):
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:
-        now, at_rest = self._now(), self._last_input is None and not self._stop.is_overdue()
+        now, at_rest = self._now(), self._pause.is_at_rest and not self._stop.is_overdue()
         self._diagnostics.publish(self._session.diagnostics, now, at_rest)
         if self.is_active:
             self._session.check(now)

@@ -124,7 +124,7 @@ class SmootherNode(SessionNode):
                 self._topics.publish(self._session.adopt(solution))
             return True
         # At rest, a new pose does not wait for others.
-        new_poses = 1 if self._last_input is None else NEW_POSES
+        new_poses = 1 if self._pause.is_at_rest else NEW_POSES
         if not (self._worker.is_ready and self._session.is_solution_due(new_poses)):
             return False
         self._solving_since = perf_counter()
@@ -172,7 +172,7 @@ class SmootherNode(SessionNode):
         if self._is_input_paused():
             if self._publish_some(self._session.release):
                 return True
-            self._last_input = None
+            self._pause.rest()
         return False
 
     def _publish_some(self, poses: Callable[[int], Iterator[Publication]]) -> bool:
