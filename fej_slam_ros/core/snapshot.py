@@ -38,9 +38,9 @@ from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate, InflatingGate, ScanGateStatistics
+from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence, TentativeEvidence
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Ideal, Invariant, Standard
-from fej_slam_ros.core.ekf.state import (
-    JointState, Landmark, MovedLandmarkEvidence, RendezvousPoint, Robot, TentativeEvidence)
+from fej_slam_ros.core.ekf.state import JointState, Landmark, RendezvousPoint, Robot
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups

@@ -21,8 +21,8 @@ from fej_slam_ros.core.data_association.failure_detection import ScanMatchStatis
 from fej_slam_ros.core.data_association.joint_compatibility import (
     JointCompatibilityMatcher, MatchingResult)
 from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.state import (
-    JointState, Landmark, position_indices, Robot, TentativeEvidence)
+from fej_slam_ros.core.ekf.landmark_evidence import TentativeEvidence
+from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Robot
 from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan

@@ -12,7 +12,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import (
     Association, CONTRADICTION_D2, StatisticsByRobot, suspected_robots)
-from fej_slam_ros.core.ekf.state import JointState, Landmark, MovedLandmarkEvidence, Robot
+from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 

@@ -12,7 +12,8 @@ from fej_slam_ros.core.data_association.wrong_landmarks import (
     remove_untrusted, report_moved, update_trust)
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation
-from fej_slam_ros.core.ekf.state import JointState, MovedLandmarkEvidence
+from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
+from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.records import NS, Observation, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import estimate

@@ -18,8 +18,9 @@ from scipy.optimize import least_squares
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
+from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
-from fej_slam_ros.core.ekf.state import JointState, MovedLandmarkEvidence
+from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import fit
 from fej_slam_ros.core.joining.map_joining import joined_state, MapJoiner
