@@ -1,12 +1,14 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Transforms of poses and points, inverse and interpolation."""
+"""Transforms of poses and points, inverse, interpolation and fit."""
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fej_slam_ros.core.geometry import (
-    compose, inverse, poses_at, symmetric, transform, transform_poses, upper_triangular)
+    compose, inverse, poses_at, rigid_fit, symmetric, transform, transform_poses,
+    upper_triangular)
+from helpers.core import turn
 
 
 def test_transform_poses_equals_compose_bit_for_bit():
@@ -46,3 +48,20 @@ def test_an_upper_triangle_of_any_size_is_a_triangular_or_symmetric_matrix():
         [1.0, 2.0, 3.0], [2.0, 4.0, 5.0], [3.0, 5.0, 6.0]]
     for size in range(1, 40):
         assert upper_triangular(np.ones(size * (size + 1) // 2)).shape == (size, size)
+
+
+def test_a_rigid_fit_gives_back_the_motion():
+    rng, pose = np.random.default_rng(7), np.array([3.0, -4.0, 2.9])
+    source = rng.uniform(-5.0, 5.0, (4, 2))
+
+    assert_allclose(rigid_fit(source, source @ turn(2.9).T + pose[:2]), pose, atol=1e-14)
+
+
+def test_a_rigid_fit_brings_the_most_certain_points_nearest():
+    of_q = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 5.0]])
+    b = np.array([3.0, -1.0, 2.0])
+    of_p = of_q @ turn(2.0).T + b[:2] + np.array([[0.0, 0.0], [0.0, 0.0], [0.3, 0.3]])
+
+    found = rigid_fit(of_q, of_p, np.array([1.0, 1.0, 1e-9]))
+
+    assert_allclose(found, b, atol=1e-8)

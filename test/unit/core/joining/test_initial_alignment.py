@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step 0 is the minimum of eq. (12) of [Liu], whatever is known before and guessed first."""
+"""Step 0 is the minimum of eq. (12) of [Liu] for any prior and any first guess."""
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -8,7 +8,6 @@ import pytest
 from scipy.linalg import block_diag
 from scipy.optimize import least_squares
 
-from fej_slam_ros.core.geometry import rigid_fit
 from fej_slam_ros.core.joining import initial_alignment
 from fej_slam_ros.core.joining.initial_alignment import (
     align, align_independently, closed_form, InitialAlignment, InitialAlignmentError)
@@ -28,19 +27,19 @@ PRIORS = {
 
 
 def observations(team, **numbers):
-    """Return what the robots see, each some landmarks."""
+    """Return observations of some landmarks by each robot."""
     return {
         name: [(('', s.id), s) for s in team.look(name, some).observations]
         for name, some in numbers.items()}
 
 
-def everybody_sees_everything(seed, robots=3, landmarks=4):
+def all_observations(seed, robots=3, landmarks=4):
     team = SmallTeam(seed, robots, landmarks)
     return team, observations(team, **dict.fromkeys(team.names, range(landmarks)))
 
 
 def prior_of(team, robots=('r1',), landmarks=(), B=ANCHOR):
-    """Return a prior around the truth, wrong by as much as it says."""
+    """Return a prior whose error is drawn from its covariance."""
     true = [team.truth.pose(name, 0) for name in robots]
     true += [team.truth.landmarks[number] for number in landmarks]
     x = np.concatenate(true) + B @ np.random.default_rng(11).normal(size=B.shape[1])
@@ -90,20 +89,20 @@ def whitened(observation, z_hat):
 @pytest.mark.parametrize('given', PRIORS)
 def test_the_result_is_the_minimum_that_a_general_solver_finds(given):
     robots, landmarks, B = PRIORS[given]
-    team, seen = everybody_sees_everything(seed=1)
+    team, seen = all_observations(seed=1)
     prior = prior_of(team, robots, landmarks, B)
 
     solved = solve(prior, seen)
 
     x, P = general_solution(solved, prior, B, seen)
-    # The general solver stops where its differences cannot tell a better place.
+    # The general solver stops where its finite differences are lost in rounding.
     assert_allclose(joint(solved), x, rtol=0.0, atol=1e-7)
     assert_allclose(solved.P, P, rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize('seed', range(10))
 def test_the_guess_does_not_matter(seed):
-    team, seen = everybody_sees_everything(seed=3)
+    team, seen = all_observations(seed=3)
     prior, rng = prior_of(team), np.random.default_rng(seed)
     far = {name: rng.uniform([-50.0, -50.0, -3.0], [50.0, 50.0, 3.0]) for name in ('r2', 'r3')}
     anywhere = {('', number): rng.uniform(-50.0, 50.0, 2) for number in range(4)}
@@ -130,8 +129,8 @@ def moves_with_anchor(solved):
     return A
 
 
-def test_what_is_started_moves_rigidly_with_an_uncertain_anchor():
-    team, seen = everybody_sees_everything(seed=4)
+def test_robots_and_landmarks_move_rigidly_with_an_uncertain_anchor():
+    team, seen = all_observations(seed=4)
     prior = prior_of(team)
     exact = InitialAlignment(prior.poses, {}, np.zeros((3, 3)))
 
@@ -142,7 +141,7 @@ def test_what_is_started_moves_rigidly_with_an_uncertain_anchor():
 
 
 def test_the_form_of_the_paper_has_no_cross_terms_with_the_anchor():
-    team, seen = everybody_sees_everything(seed=4)
+    team, seen = all_observations(seed=4)
     prior = prior_of(team)
     exact = InitialAlignment(prior.poses, {}, np.zeros((3, 3)))
 
@@ -153,7 +152,7 @@ def test_the_form_of_the_paper_has_no_cross_terms_with_the_anchor():
 
 
 def test_the_covariance_may_be_taken_at_the_truth():
-    team, seen = everybody_sees_everything(seed=5)
+    team, seen = all_observations(seed=5)
     truth = (
         {name: team.truth.pose(name, 0) for name in team.names},
         {('', number): f for number, f in team.truth.landmarks.items()})
@@ -168,39 +167,22 @@ def test_the_covariance_may_be_taken_at_the_truth():
 
 
 def test_the_covariance_of_the_authors_is_that_of_the_iteration_before_the_last():
-    team, seen = everybody_sees_everything(seed=6)
-    places = []
+    team, seen = all_observations(seed=6)
+    linearized = []
 
     def watch(poses, points):
-        places.append(np.concatenate([*poses.values(), *points.values()]))
+        linearized.append(np.concatenate([*poses.values(), *points.values()]))
         return poses, points
 
     solved = solve(prior_of(team), seen, linearized_at=watch, tolerance=1e-3)
 
     # The iteration ends at a step below the tolerance, and takes that step.
-    assert len(places) == 1
-    assert 0.0 < np.linalg.norm(joint(solved) - places[0]) < 1e-3
-
-
-def test_a_rigid_fit_gives_back_the_motion():
-    rng, pose = np.random.default_rng(7), np.array([3.0, -4.0, 2.9])
-    source = rng.uniform(-5.0, 5.0, (4, 2))
-
-    assert_allclose(rigid_fit(source, source @ turn(2.9).T + pose[:2]), pose, atol=1e-14)
-
-
-def test_a_rigid_fit_brings_the_most_certain_points_nearest():
-    of_q = np.array([[0.0, 0.0], [2.0, 0.0], [1.0, 5.0]])
-    b = np.array([3.0, -1.0, 2.0])
-    of_p = of_q @ turn(2.0).T + b[:2] + np.array([[0.0, 0.0], [0.0, 0.0], [0.3, 0.3]])
-
-    found = rigid_fit(of_q, of_p, np.array([1.0, 1.0, 1e-9]))
-
-    assert_allclose(found, b, atol=1e-8)
+    assert len(linearized) == 1
+    assert 0.0 < np.linalg.norm(joint(solved) - linearized[0]) < 1e-3
 
 
 def linked(**numbers):
-    """Return the robots that the closed form places beside r1, for what each of them sees."""
+    """Return the robots that the closed form locates with r1, given what each observes."""
     team = SmallTeam(seed=8, robots=4, landmarks=9, noise=0.0)
     located = {'r1': team.truth.pose('r1', 0)}
     poses, points = closed_form(located, {}, observations(team, **numbers))
@@ -211,28 +193,28 @@ def linked(**numbers):
     return sorted(poses)
 
 
-def test_two_shared_landmarks_place_a_robot():
+def test_two_shared_landmarks_locate_a_robot():
     assert linked(r1=[0, 1, 2], r2=[1, 2, 3]) == ['r1', 'r2']
 
 
-def test_one_shared_landmark_places_nobody():
+def test_one_shared_landmark_locates_no_robot():
     assert linked(r1=[0, 1, 2], r2=[2, 3, 4]) == ['r1']
 
 
-def test_robots_that_share_nothing_with_the_located_ones_share_in_vain():
+def test_robots_that_share_landmarks_with_no_located_one_are_not_located():
     assert linked(r1=[0, 1], r2=[2, 3], r3=[2, 3]) == ['r1']
 
 
-def test_a_chain_of_robots_places_them_all():
+def test_a_chain_of_robots_is_located():
     assert linked(r4=[0, 1], r3=[1, 0, 2, 3], r1=[4, 5], r2=[2, 3, 4, 5]) == [
         'r1', 'r2', 'r3', 'r4']
 
 
-def test_robots_share_together_what_each_of_them_shares_too_little_of():
+def test_robots_are_located_together_by_landmarks_too_few_for_each():
     assert linked(r1=[0, 1], r2=[0, 2, 3], r3=[1, 2, 3]) == ['r1', 'r2', 'r3']
 
 
-def test_what_the_observations_do_not_determine_is_an_error():
+def test_poses_that_the_observations_do_not_determine_are_an_error():
     team = SmallTeam(seed=9)
     seen = observations(team, r1=[0], r2=[0])
 
@@ -241,7 +223,7 @@ def test_what_the_observations_do_not_determine_is_an_error():
 
 
 def test_an_iteration_that_does_not_end_is_an_error(monkeypatch):
-    team, seen = everybody_sees_everything(seed=10)
+    team, seen = all_observations(seed=10)
     monkeypatch.setattr(initial_alignment, 'MAX_STEP0_ITERATIONS', 2)
 
     with pytest.raises(InitialAlignmentError, match='did not converge in 2 iterations'):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Step 0 in small scenes: who ties whom, what a known start is worth, and how it goes on."""
+"""Step 0 in small scenes: robots that landmarks or known starts relate to the anchor."""
 
 from dataclasses import replace
 from math import pi
@@ -23,7 +23,7 @@ from helpers.core import circles, estimate, pose_difference, random_covariance, 
 SECOND = 1_000_000_000
 R = np.diag([0.01, 0.01])
 
-#: Where everything stands in the small scenes of this module.
+#: True poses and landmarks of the scenes of this module.
 POSES = {
     'r1': np.array([0.0, 0.0, 0.0]), 'r2': np.array([5.0, 1.0, 2.0]),
     'r3': np.array([-4.0, 3.0, -3.0])}
@@ -41,7 +41,7 @@ def still(robots, stamps=(0, SECOND)):
 
 
 def look(stamp=0, **numbers):
-    """Return what each robot sees, free of noise: some landmarks."""
+    """Return exact scans of some landmarks by each robot."""
     return [
         Scan(name, stamp, tuple(
             Observation(n, turn(POSES[name][2]).T @ (LANDMARKS[n] - POSES[name][:2]), R)
@@ -57,7 +57,7 @@ def with_gross_error(scan):
 
 
 def assert_in_place(estimator, *robots):
-    """Check that robots stand in ``map`` where they stand, to the last step of the iteration."""
+    """Check that these robots and no others are in ``map``, at their true poses."""
     state = estimator.groups.team.state
     assert sorted(state.robots) == sorted(robots)
     for name in robots:
@@ -69,13 +69,13 @@ def assert_in_place(estimator, *robots):
     {'r1': [0, 1], 'r2': [0, 1, 2, 3], 'r3': [2, 3]},
     {'r1': [0, 1], 'r3': [0, 1, 2, 3], 'r2': [2, 3]},
     {'r1': [0, 1], 'r2': [0, 2, 3], 'r3': [1, 2, 3]}])
-def test_a_robot_may_be_tied_to_the_anchor_through_another(seen):
+def test_a_robot_may_be_located_through_another(seen):
     estimator, _ = estimate([*still(POSES), *look(**seen)], POSES)
 
     assert_in_place(estimator, 'r1', 'r2', 'r3')
 
 
-def test_a_robot_with_known_start_needs_to_see_nothing():
+def test_a_robot_with_known_start_needs_no_observation():
     known = RobotSettings('r2', 2, tuple(POSES['r2']), (0.1, 0.2, 0.05))
     records = [*still(['r1', 'r2']), *look(r1=[0, 1], r2=[])]
 
@@ -88,7 +88,7 @@ def test_a_robot_with_known_start_needs_to_see_nothing():
 
 
 @pytest.mark.parametrize('kind', ['fej', 'standard', 'invariant'])
-def test_a_robot_with_known_start_may_see_nothing_while_others_are_located(kind):
+def test_a_robot_with_known_start_may_observe_nothing_while_others_are_located(kind):
     known = RobotSettings('r3', 3, tuple(POSES['r3']), (0.1, 0.2, 0.05))
     records = [*still(POSES), *look(r1=[0, 1], r2=[0, 1])]
 
@@ -117,8 +117,8 @@ def test_a_turn_before_step_0_counts_until_the_robot_observes_something():
 
 
 def test_a_known_start_is_a_prior():
-    # Headings exact: along x, r1 says the landmark is at 2, r2 that it is 1 behind r2, so r2 is
-    # at 3 with variance 2; its start said 4 with variance 1.
+    # Headings are exact. Along x, r1 observes the landmark at 2 and r2 observes it 1 behind, so
+    # r2 is at 3 with variance 2; its prior is 4 with variance 1.
     known = RobotSettings('r2', 2, (4.0, 0.0, 0.0), (1.0, 1.0, 0.0))
     scans = [Scan(name, 0, (Observation(7, np.array([x, 0.0]), np.eye(2)),))
              for name, x in (('r1', 2.0), ('r2', -1.0))]
@@ -165,7 +165,7 @@ def test_observations_of_step_0_are_used_once():
     assert sorted(number for _, number in estimator.groups.team.state.landmarks) == [0, 1, 2, 3]
 
 
-def test_a_observation_at_step_0_of_a_landmark_that_is_known_already_is_used():
+def test_an_observation_of_a_known_landmark_at_step_0_is_used():
     known = RobotSettings('r2', 2, tuple(POSES['r2']), (0.5, 0.5, 0.1))
     records = [*still(['r1', 'r2']), *look(r2=[0]), *look(SECOND, r1=[0])]
 
@@ -178,7 +178,7 @@ def test_a_observation_at_step_0_of_a_landmark_that_is_known_already_is_used():
 
 
 def test_landmarks_belong_to_robots_of_the_team():
-    # r2 sees landmark 2 before r3 and r4 do, but stays out.
+    # r2 observes landmark 2 before r3 and r4 do, but does not join.
     r4 = [replace(record, robot='r4') for record in look(r3=[0, 1, 2])]
     records = [*still([*POSES, 'r4']), *look(r1=[0, 1], r2=[2], r3=[0, 1, 2]), *r4]
 
@@ -201,7 +201,7 @@ def known_map(rng):
 
 
 @pytest.mark.parametrize('policy', [FirstEstimates, Invariant])
-def test_known_landmarks_that_nobody_observes_are_solved_for_with_the_others(policy):
+def test_known_landmarks_without_observations_are_corrected_with_the_others(policy):
     seen = {'r1': [0, 1, 2], 'r2': [0, 1, 4]}
     scans = {scan.robot: [(('', o.id), o) for o in scan.observations] for scan in look(**seen)}
 
@@ -254,7 +254,7 @@ def test_a_large_error_that_all_known_landmarks_share_leaves_the_covariance_defi
     assert np.linalg.eigvalsh(P)[0] > -1e-10 * (common / 100.0) ** 2
 
 
-def test_a_step_in_which_nobody_sees_anything_only_moves_the_robots():
+def test_a_step_with_empty_scans_only_moves_the_robots():
     records = [*still(['r1', 'r2'], [0, SECOND, 2 * SECOND]), *look(r1=[0, 1], r2=[0, 1])]
     blind = [*records, *look(SECOND, r1=[], r2=[])]
 
@@ -266,7 +266,7 @@ def test_a_step_in_which_nobody_sees_anything_only_moves_the_robots():
 
 
 @pytest.mark.parametrize('robots', [1, 3, 5])
-def test_teams_of_any_size_find_their_way(robots):
+def test_teams_of_any_size_are_located(robots):
     records = circles(seed=7, robots=robots, landmarks=30, sensors=NEARLY_PERFECT)
 
     estimator, results = estimate(records, [f'r{i + 1}' for i in range(robots)])
@@ -280,7 +280,7 @@ def test_teams_of_any_size_find_their_way(robots):
         assert score.heading_rmse() < 1e-3
 
 
-def test_a_robot_alone_has_the_landmarks_where_it_saw_them():
+def test_a_single_robot_starts_landmarks_where_it_observes_them():
     known = {'anchor_pose': (1.0, 2.0, pi / 2)}
     estimator, _ = estimate([*still(['r1'], [0]), *look(r1=[0])], ['r1'], **known)
 

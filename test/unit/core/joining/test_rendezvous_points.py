@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Robots that know nothing of each other become one team where they see each other."""
+"""Robots with unknown poses join by robot-to-robot observations."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -25,7 +25,7 @@ from helpers.records import MS, odometry, robot_scan, scan, team, true_pose
 
 FILTERS = ['standard', 'fej', 'ideal', 'invariant']
 TEAM = 'r1', 'r2', 'r3'
-#: Robots that see each other all the way.
+#: Robots that observe each other in the whole run.
 SENSORS = SensorSettings((0.05, 0.05, 0.01), (0.1, 0.1), range=60.0, robot_sigma=(0.1, 0.1))
 #: With the noise of [Liu], by which step 0 moves what has joined before.
 NOISY = SensorSettings(
@@ -33,7 +33,7 @@ NOISY = SensorSettings(
 
 
 def meetings(seed, robots=2, until=12.6, sensors=SENSORS, observers=TEAM):
-    """Return a run of robots that sense nothing but each other, as far as they look."""
+    """Return a run without landmarks, in which some robots observe the others."""
     return [
         record for record in circles(seed, robots, sensors=sensors)
         if record.stamp <= until * NS and not isinstance(record, Scan)
@@ -45,17 +45,17 @@ def truth_of(records):
     return {(r.robot, r.stamp): r.pose for r in records if isinstance(r, TruePose)}
 
 
-def places_in(estimator):
-    """Return the places in each frame that has any."""
+def points_in(estimator):
+    """Return the keys of the rendezvous points in each frame that has any."""
     return {
         frame: list(state.rendezvous_points) for frame, state in frames(estimator).items()
         if state.rendezvous_points}
 
 
 def assert_all_in_map(estimator, records):
-    """Find all robots in ``map`` where they are, and no place left."""
+    """Check that all robots are in ``map`` near the truth, and no rendezvous point is left."""
     state, truth = estimator.groups.team.state, truth_of(records)
-    assert estimator.groups.not_in_map == places_in(estimator) == {}
+    assert estimator.groups.not_in_map == points_in(estimator) == {}
     assert state.robots.keys() == estimator.robots.keys()
     for name, robot in state.robots.items():
         e = pose_difference(state.estimate(robot), truth[name, robot.stamp])
@@ -65,7 +65,7 @@ def assert_all_in_map(estimator, records):
 
 @pytest.mark.parametrize('kind', FILTERS)
 @pytest.mark.parametrize('observers', [('r1',), ('r2',), ('r1', 'r2')])
-def test_two_robots_without_a_landmark_join_if_one_sees_the_other(kind, observers):
+def test_two_robots_without_a_landmark_join_if_one_observes_the_other(kind, observers):
     records = meetings(1, observers=observers)
 
     estimator, steps = estimate(records, filter=kind)
@@ -75,12 +75,12 @@ def test_two_robots_without_a_landmark_join_if_one_sees_the_other(kind, observer
 
 
 @pytest.mark.parametrize('wrong', [0, 1, 2])
-def test_one_wrong_observation_is_found_and_keeps_nobody_apart(wrong):
+def test_one_wrong_observation_is_rejected_and_does_not_prevent_the_join(wrong):
     records = meetings(1, observers=('r1',))
-    number, told = [k for k, r in enumerate(records) if isinstance(r, RobotScan)][wrong], []
+    number = [k for k, r in enumerate(records) if isinstance(r, RobotScan)][wrong]
     observation, = records[number].observations
-    told.append(replace(observation, z=observation.z + np.array([0.0, 3.0])))
-    records[number] = replace(records[number], observations=tuple(told))
+    records[number] = replace(records[number], observations=(
+        replace(observation, z=observation.z + np.array([0.0, 3.0])),))
 
     estimator, _ = estimate(records)
 
@@ -88,14 +88,14 @@ def test_one_wrong_observation_is_found_and_keeps_nobody_apart(wrong):
     rejected, = (r for r in estimator.statistics.rejections if r.reason is RejectionReason.GATED)
     assert (rejected.robot, rejected.observed) == ('r1', 'r2')
     assert rejected.stamp == records[number].stamp
-    # 3 m at 0.1 m, less what the few others do not know better.
+    # 3 m at 0.1 m, less by the uncertainty of the few other observations.
     assert rejected.threshold < rejected.d2 < 30.0**2
 
 
 @pytest.mark.parametrize('kind', FILTERS)
 @pytest.mark.parametrize('pairs', [
     [('r1', 'r2'), ('r2', 'r3')], [('r3', 'r2'), ('r3', 'r1')], [('r2', 'r3'), ('r1', 'r3')]])
-def test_three_robots_join_whoever_sees_whom(kind, pairs):
+def test_three_robots_join_by_observations_of_any_two_pairs(kind, pairs):
     records = [
         replace(r, observations=tuple(s for s in r.observations if (r.robot, s.observed) in pairs))
         if isinstance(r, RobotScan) else r for r in meetings(1, robots=3)]
@@ -107,8 +107,8 @@ def test_three_robots_join_whoever_sees_whom(kind, pairs):
 
 @pytest.mark.parametrize('begin', [0.0, 4.0])
 @pytest.mark.parametrize('kind', FILTERS)
-def test_numbers_of_landmarks_that_are_not_shared_do_not_matter(kind, begin):
-    # Step 0 is at the first stamp: what is seen later joins maps.
+def test_robots_join_without_shared_landmark_ids(kind, begin):
+    # Step 0 is at the first stamp; later observations join maps.
     records = [
         record for record in circles(2, landmarks=20, sensors=SENSORS)
         if not (isinstance(record, RobotScan) and record.stamp < begin * NS)]
@@ -120,7 +120,7 @@ def test_numbers_of_landmarks_that_are_not_shared_do_not_matter(kind, begin):
 
 
 def blinded(record):
-    """Let r1 see no landmark for 4 s, and r3 neither see a robot nor be seen."""
+    """Remove landmarks seen by r1 in the first 4 s, and observations of robots by or of r3."""
     if isinstance(record, RobotScan):
         return replace(record, observations=tuple(
             s for s in record.observations if 'r3' not in (record.robot, s.observed)))
@@ -170,19 +170,19 @@ def least_squares_of(records):
     return best.x[last], np.linalg.inv(best.jac.T @ best.jac)[np.ix_(last, last)]
 
 
-#: Of so little noise that first order is all there is.
+#: Noise that is small enough for the first-order approximation.
 EXACT = SensorSettings((3e-5, 3e-5, 1e-5), (1.0, 1.0), range=60.0, robot_sigma=(5e-5, 5e-5))
 
 
 @pytest.fixture(scope='module')
 def exact():
-    """Return a short run almost without noise, and what least squares makes of it."""
+    """Return a short run almost without noise, and its batch least-squares solution."""
     records = meetings(1, until=2.4, sensors=EXACT)
     return records, *least_squares_of(records)
 
 
 @pytest.mark.parametrize('kind', FILTERS)
-def test_who_joined_knows_what_least_squares_over_everything_knows(kind, exact):
+def test_joined_robots_have_estimate_and_covariance_of_batch_least_squares(kind, exact):
     records, x, P = exact
 
     estimator, _ = estimate(records, filter=kind)
@@ -197,7 +197,7 @@ def test_who_joined_knows_what_least_squares_over_everything_knows(kind, exact):
 
 @pytest.mark.parametrize('seed', [1, 2, 3])
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
-def test_where_the_team_is_stays_as_unknown_as_it_was(kind, seed):
+def test_the_global_pose_of_the_team_gains_no_information(kind, seed):
     sigma = (1.0, 1.0, 0.1)
     estimator, _ = estimate(meetings(seed), filter=kind, anchor_sigma=sigma)
     state = estimator.groups.team.state
@@ -210,7 +210,7 @@ def test_where_the_team_is_stays_as_unknown_as_it_was(kind, seed):
 
 @pytest.mark.parametrize('seed', [3, 4, 6])
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
-def test_step_0_tells_nothing_of_where_a_team_is_that_has_joined_before(kind, seed):
+def test_step_0_after_a_join_adds_no_information_about_the_global_pose(kind, seed):
     sigma, dark = (1.0, 1.0, 0.3), 5 * NS
     records = [
         replace(record, observations=()) if isinstance(record, Scan) and record.stamp < dark
@@ -242,7 +242,7 @@ def mean_nees(kind, seeds, observers):
 
 
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
-def test_who_joined_is_consistent(kind):
+def test_robots_that_joined_by_observations_of_each_other_are_consistent(kind):
     # Means of 15 correlated runs scatter by about 0.12.
     assert 0.7 < mean_nees(kind, range(15), TEAM) < 1.35
 
@@ -250,16 +250,16 @@ def test_who_joined_is_consistent(kind):
 @pytest.mark.slow
 @pytest.mark.parametrize('observers', [TEAM, ('r1',), ('r2',)])
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
-def test_who_joined_is_consistent_over_a_hundred_runs(kind, observers):
+def test_robots_that_joined_are_consistent_over_a_hundred_runs(kind, observers):
     assert 0.85 < mean_nees(kind, range(100, 200), observers) < 1.25
 
 
-#: Where r1 sees r2, which drives abreast of it.
+#: Observation of r2, which drives abreast of the observer r1.
 BESIDE = ('r2', (1.0, -3.0))
 
 
 def abreast(until, *names, since=0, sees=(BESIDE,)):
-    """Return what robots measure that drive straight ahead at 1 m/s; r1 sees others, or not."""
+    """Return records of robots that drive abreast at 1 m/s, some of which r1 observes."""
     return [
         record for ms in range(since, until + 1, 200)
         for record in (
@@ -268,27 +268,27 @@ def abreast(until, *names, since=0, sees=(BESIDE,)):
 
 
 def after(*records, **options):
-    """Return an estimator of r1, r2 and r3 at work, with all steps done."""
+    """Return an estimator of r1, r2 and r3 that has processed records."""
     estimator = Estimator(team(*TEAM, **options))
     give(estimator, *records)
     return estimator
 
 
 def give(estimator, *records):
-    """Let an estimator do what it can with some records more; return the steps."""
+    """Process further records without waiting for more; return the steps."""
     for record in records:
         estimator.add(record)
     return list(estimator.release())
 
 
-def test_both_frames_keep_where_a_robot_was_seen_until_that_tells_enough():
+def test_both_frames_keep_rendezvous_points_until_these_determine_the_join():
     estimator = after(*abreast(200))
 
     ours, theirs = frames(estimator)['map'], frames(estimator)['r2/map']
     assert [*ours.rendezvous_points] == [*theirs.rendezvous_points]
     assert [(k.observer, k.observed, k.stamp // MS) for k in ours.rendezvous_points] == [
         ('r1', 'r2', 0), ('r1', 'r2', 200)]
-    # Of 0.2 m, r2 knows from where it was seen by its own way.
+    # In its own frame, r2 was observed at the positions of its odometry.
     for ms, key in zip((0, 200), ours.rendezvous_points):
         in_map, in_own = (s.estimate(s.rendezvous_points[key]) for s in (ours, theirs))
         assert_allclose(in_map, [1.0 + ms / 1000.0, -3.0], atol=1e-12)
@@ -297,7 +297,7 @@ def test_both_frames_keep_where_a_robot_was_seen_until_that_tells_enough():
         '0 shared landmarks and 2 observations of robots, needs 3')
 
 
-def test_what_is_seen_over_a_short_way_does_not_tell_a_heading():
+def test_observations_over_a_short_distance_do_not_determine_the_heading():
     estimator = after(*abreast(400))
 
     assert estimator.groups.not_in_map['r2'].startswith(
@@ -315,7 +315,7 @@ def test_landmarks_and_observations_of_robots_count_together():
     assert estimator.groups.not_in_map.keys() == {'r3'}
 
 
-def test_wrong_observations_do_not_fit_and_that_is_told():
+def test_observations_that_contradict_each_other_are_the_reason_in_words():
     # r1 observes r2 anywhere while r2 drives straight ahead at 0.8 m/s: no single outlier.
     rng = np.random.default_rng(1)
     records = [
@@ -328,10 +328,10 @@ def test_wrong_observations_do_not_fit_and_that_is_told():
     assert re.fullmatch(
         r'0 shared landmarks and \d observations of robots do not fit: chi-square .*',
         estimator.groups.not_in_map['r2'])
-    assert places_in(estimator).keys() == {'map', 'r2/map'}
+    assert points_in(estimator).keys() == {'map', 'r2/map'}
 
 
-def test_a_robot_that_stands_is_seen_once_the_rest_is_refused_by_name():
+def test_further_observations_of_a_robot_that_stands_still_are_rejected():
     stands = [
         record for ms in range(0, 1001, 200) for record in (
             odometry('r1', ms), odometry('r2', ms, (0.0, 0.0, 0.0)),
@@ -344,17 +344,17 @@ def test_a_robot_that_stands_is_seen_once_the_rest_is_refused_by_name():
     assert estimator.statistics.observations_used == {'r1': 1}
 
 
-def test_of_each_pair_the_newest_places_are_kept():
+def test_the_newest_rendezvous_points_of_each_pair_are_kept():
     last = 200 * (MAX_RENDEZVOUS_POINTS + 4)
     estimator = after(*abreast(last), join_min_landmarks=1000)
 
-    (kept,) = {tuple(keys) for keys in places_in(estimator).values()}
+    (kept,) = {tuple(keys) for keys in points_in(estimator).values()}
     assert [key.stamp // MS for key in kept] == [*range(1000, last + 1, 200)]
     assert len(kept) == MAX_RENDEZVOUS_POINTS
     assert estimator.statistics.observations_used['r1'] == MAX_RENDEZVOUS_POINTS + 5
 
 
-def test_the_truth_of_a_place_is_known_as_long_as_the_place():
+def test_the_true_position_of_a_rendezvous_point_is_kept_as_long_as_the_point():
     last = 200 * (MAX_RENDEZVOUS_POINTS + 4)
     records = [
         r for ms in range(0, last + 1, 200) for r in (
@@ -369,25 +369,25 @@ def test_the_truth_of_a_place_is_known_as_long_as_the_place():
         estimator.truth.rendezvous_point(RendezvousKey('r1', 'r2', 800 * MS))
 
 
-#: r1, r2 and r3 abreast, r1 sees both twice: that is not enough to join.
+#: Observations of r2 and r3, abreast of r1; two of each are too few to join.
 BOTH = BESIDE, ('r3', (0.0, 2.0))
 
 
-def test_what_was_seen_of_a_robot_goes_when_it_leaves():
+def test_rendezvous_points_of_a_robot_are_removed_when_it_leaves():
     estimator = after(*abreast(200, *TEAM, sees=BOTH))
 
     estimator.change_team(team('r1', 'r3').robots)
 
-    assert {key.observed for keys in places_in(estimator).values() for key in keys} == {'r3'}
-    assert places_in(estimator).keys() == {'map', 'r3/map'}
+    assert {key.observed for keys in points_in(estimator).values() for key in keys} == {'r3'}
+    assert points_in(estimator).keys() == {'map', 'r3/map'}
 
 
 def after_a_gap(robot, ms):
-    """Return odometry after which a robot may face anywhere."""
+    """Return odometry after which the heading of a robot is unknown."""
     return odometry(robot, ms, twist_covariance=1e3 * np.eye(3))
 
 
-def test_what_was_seen_of_a_robot_goes_when_nothing_tells_how_it_came():
+def test_rendezvous_points_of_a_robot_are_removed_after_an_unknown_motion():
     estimator = after(*abreast(200, *TEAM, sees=BOTH))
 
     give(estimator, odometry('r1', 400), odometry('r3', 400), after_a_gap('r2', 400),
@@ -399,7 +399,7 @@ def test_what_was_seen_of_a_robot_goes_when_nothing_tells_how_it_came():
     assert [key.stamp // MS for key in frames(estimator)['r2/map'].rendezvous_points] == [400]
 
 
-def test_what_was_seen_before_step_0_is_given_up_where_that_starts_robots():
+def test_step_0_removes_the_rendezvous_points_of_robots_that_it_starts():
     seen = [(1, (5.0, 1.0)), (2, (5.0, -1.0))]
     estimator = after(*abreast(200, *TEAM, sees=BOTH))
 
@@ -407,10 +407,10 @@ def test_what_was_seen_before_step_0_is_given_up_where_that_starts_robots():
          scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
 
     assert estimator.groups.not_in_map.keys() == {'r3'}
-    assert places_in(estimator) == {}
+    assert points_in(estimator) == {}
 
 
-def test_an_anchor_that_is_lost_before_step_0_joins_the_map_that_others_hold():
+def test_an_anchor_that_is_lost_before_step_0_joins_the_map_of_the_others():
     estimator = after(*abreast(3000))
     assert estimator.groups.not_in_map.keys() == {'r3'}
 
@@ -421,11 +421,11 @@ def test_an_anchor_that_is_lost_before_step_0_joins_the_map_that_others_hold():
     assert estimator.groups.not_in_map.keys() == {'r3'}
     state = estimator.groups.team.state
     r1, r2 = (state.estimate(state.robots[name]) for name in ('r1', 'r2'))
-    # What is seen is exact, so that both are abreast whatever r2 has drifted to.
+    # Observations are exact, so both are abreast however far r2 has drifted.
     assert_allclose(turn(r1[2]).T @ (r2 - r1)[:2], [1.0, -3.0], atol=1e-6)
 
 
-def test_an_anchor_that_is_lost_before_step_0_is_not_back_at_its_start_in_a_map_that_has_grown():
+def test_an_anchor_that_is_lost_before_step_0_does_not_restart_at_its_start_in_a_grown_map():
     seen = [(1, (3.0, 1.0)), (2, (2.0, -2.0)), (3, (-1.0, 2.0))]
     estimator = after(*abreast(3000), scan('r2', 3000, seen))
     estimator.change_team(team('r1', 'r3').robots)
@@ -437,8 +437,8 @@ def test_an_anchor_that_is_lost_before_step_0_is_not_back_at_its_start_in_a_map_
     assert estimator.groups.not_in_map.keys() == {'r3'}
 
 
-def test_a_map_that_was_left_is_called_after_the_robot_that_joins_it():
-    # r1 is alone; r2 maps and leaves; r3 finds what it has mapped.
+def test_a_map_without_robots_is_named_after_the_robot_that_joins_it():
+    # r1 is alone; r2 maps and leaves; r3 observes the landmarks of r2.
     seen = [(1, (3.0, 1.0)), (2, (2.0, -2.0)), (3, (-1.0, 2.0))]
     estimator = after(odometry('r1', 0), odometry('r2', 0), scan('r1', 0, [(9, (1.0, 1.0))]),
                       scan('r2', 0, seen))
@@ -452,35 +452,35 @@ def test_a_map_that_was_left_is_called_after_the_robot_that_joins_it():
     assert pose.frame == 'r2/map'
 
 
-def said(pose, sigma=0.01, ms=200):
-    """Return what somebody says of where r2 is."""
+def pose_prior(pose, sigma=0.01, ms=200):
+    """Return a prior of the pose of r2 in ``map``."""
     return PosePrior('r2', ms * MS, np.array(pose), np.diag(np.square([0.01, 0.01, sigma])))
 
 
-def test_a_pose_that_is_given_must_fit_what_was_seen():
-    estimator = after(*abreast(200), said((1.2, -3.0, 3.0)))
-    give(estimator, *abreast(400, since=400), said((1.4, -3.0, 0.0), ms=400))
+def test_a_pose_prior_must_fit_the_observations():
+    estimator = after(*abreast(200), pose_prior((1.2, -3.0, 3.0)))
+    give(estimator, *abreast(400, since=400), pose_prior((1.4, -3.0, 0.0), ms=400))
 
     assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.DOES_NOT_FIT: 1}
     assert estimator.groups.not_in_map.keys() == {'r3'}
-    assert places_in(estimator) == {}
+    assert points_in(estimator) == {}
 
 
-def test_of_a_vague_pose_that_is_given_nothing_is_left_but_the_pose():
+def test_an_uncertain_pose_prior_replaces_the_frame_of_the_robot():
     seen = [(1, (5.0, 1.0)), (2, (5.0, -1.0))]
-    estimator = after(*abreast(200), said((1.2, -3.0, 0.0), sigma=1.0))
+    estimator = after(*abreast(200), pose_prior((1.2, -3.0, 0.0), sigma=1.0))
 
-    # A step 0 for this pose alone would be in vain.
+    # A step 0 after this prior has nothing left to start.
     give(estimator, *abreast(400, since=400), scan('r1', 400, seen),
          scan('r2', 400, [(n, (x - 1.0, y + 3.0)) for n, (x, y) in seen]))
 
     assert estimator.groups.not_in_map.keys() == {'r3'}
-    assert places_in(estimator) == {}
+    assert points_in(estimator) == {}
     assert estimator.groups.others == []
 
 
 @pytest.mark.parametrize('kind', FILTERS)
-def test_a_run_continued_at_every_record_is_the_run_without_a_break(kind):
+def test_a_run_restored_before_each_record_equals_the_uninterrupted_run(kind):
     records = meetings(2, robots=3, until=3.0, observers=('r2',))
     options = team(*TEAM, filter=kind)
     whole, broken, kept = Estimator(options), Estimator(options), set()
@@ -490,16 +490,16 @@ def test_a_run_continued_at_every_record_is_the_run_without_a_break(kind):
         for estimator in (whole, broken):
             estimator.add(record)
             list(estimator.take())
-        kept |= places_in(broken).keys()
+        kept |= points_in(broken).keys()
         assert broken.state_hash() == whole.state_hash()
-        assert places_in(broken) == places_in(whole)
+        assert points_in(broken) == points_in(whole)
 
     assert kept == {'map', 'r2/map', 'r3/map'}
     assert whole.groups.not_in_map == {}
 
 
-def test_a_robot_that_three_others_see_at_once_leaves_their_headings_unknown():
-    # Its place, three times, does not tell how its frame is turned in that of the others.
+def test_observations_by_three_robots_at_once_determine_no_heading():
+    # One position, observed three times, does not determine the rotation between the frames.
     at = {'r1': (0.0, 0.0), 'r2': (3.0, 0.0), 'r3': (0.0, 3.0), 'r4': (3.0, 3.0)}
     seen = {
         name: [(other, np.subtract(at[other], at[name])) for other in at if other != name]

@@ -47,6 +47,13 @@ def test_a_prior_sent_again_is_a_duplicate_also_after_its_robot_returned():
     assert priors.add(prior(100, x=1.0)) is None
 
 
+def test_equal_priors_of_two_robots_are_no_duplicates():
+    priors = PosePriors(InputStatistics())
+
+    assert priors.add(prior(100, robot='r1')) is None
+    assert priors.add(prior(100, robot='r2')) is None
+
+
 def test_the_oldest_prior_beyond_the_maximum_is_rejected():
     statistics = InputStatistics()
     priors = PosePriors(statistics)
