@@ -109,9 +109,9 @@ def test_only_landmark_scans_are_inflated():
 
 class Teams(stateful.RuleBasedStateMachine):
     """
-    Robots that drive at random, see what is near, lose themselves, leave and come back.
+    Robots that drive at random, observe each other, get lost, leave and return.
 
-    What is seen is right but for some observations of robots; all stand within a few metres.
+    All observations are correct except for some of robots; all robots are near each other.
     """
 
     def __init__(self):
@@ -157,18 +157,18 @@ class Teams(stateful.RuleBasedStateMachine):
             self.change(self.estimator.robots.keys() - {name})
 
     @stateful.rule(name=st.sampled_from(TEAM))
-    def come(self, name):
+    def join(self, name):
         self.change(self.estimator.robots.keys() | {name})
 
     @stateful.rule(
         name=st.sampled_from(TEAM), sigma=st.sampled_from([0.01, 1.0]),
         error=st.sampled_from([0.0, 3.0]))
-    def tell(self, name, sigma, error):
+    def add_pose_prior(self, name, sigma, error):
         pose, P = between(self.start, self.true[name]), np.diag([0.01, 0.01, sigma**2])
         self.estimator.add(PosePrior(name, self.ms * MS, pose + error, P))
 
     @stateful.rule()
-    def stop_and_go_on(self):
+    def restart_from_checkpoint(self):
         self.estimator = restore(snapshot(self.estimator), self.settings, Estimator)
 
     def change(self, names):
@@ -176,7 +176,7 @@ class Teams(stateful.RuleBasedStateMachine):
         self.estimator.change_team([known[name] for name in TEAM if name in names])
 
     @stateful.invariant()
-    def every_robot_is_in_one_frame_which_is_called_after_one_in_it(self):
+    def every_robot_is_in_one_frame_that_is_named_after_one_of_its_robots(self):
         states = frames(self.estimator)
         count = Counter(name for state in states.values() for name in state.robots)
         assert set(count.values()) <= {1}
@@ -187,7 +187,7 @@ class Teams(stateful.RuleBasedStateMachine):
             assert group.owner in group.robots or not group.robots
 
     @stateful.invariant()
-    def every_place_is_in_two_frames(self):
+    def every_rendezvous_point_is_in_two_frames(self):
         kept = Counter(
             key for state in frames(self.estimator).values() for key in state.rendezvous_points)
         assert set(kept.values()) <= {2}
@@ -196,21 +196,21 @@ class Teams(stateful.RuleBasedStateMachine):
         assert {name for pair in pairs for name in pair} <= self.estimator.robots.keys()
 
     @stateful.invariant()
-    def every_observation_is_used_or_refused(self):
-        # Nothing waits, and no scan is refused as a whole.
+    def every_observation_is_used_or_rejected(self):
+        # Nothing waits, and no scan is rejected as a whole.
         rejected = Counter(
             r.robot for r in self.estimator.statistics.rejections if r.id is not None)
         for name, count in self.sent.items():
             assert count == self.estimator.statistics.observations_used[name] + rejected[name]
 
     @stateful.invariant()
-    def every_covariance_is_one(self):
+    def every_covariance_is_positive_semidefinite(self):
         for state in frames(self.estimator).values():
             variables = state.variables()
             assert len(state.x_hat) == len(state.x_first) == state.covariance.dimension
             if variables:
                 eigenvalues = np.linalg.eigvalsh(state.marginal(variables))
-                # Places are where robots were without further noise; the rest is rounding.
+                # Rendezvous points are positions of robots without further noise, but rounding.
                 assert eigenvalues[0] > -1e-10 * max(1.0, eigenvalues[-1])
 
 

@@ -88,6 +88,6 @@ def test_a_motion_that_does_not_determine_the_pose_is_known():
     assert fit_sensor(*data()).is_determined
 
 
-def test_too_few_observations_say_nothing():
+def test_too_few_observations_give_no_pose():
     assert fit_sensor(*data(seconds=3.5)) is None
     assert fit_sensor([], data()[1]) is None

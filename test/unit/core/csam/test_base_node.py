@@ -58,7 +58,7 @@ def test_each_observation_is_one_of_its_own_poses():
 
 
 @pytest.mark.parametrize('poses', [[5], [0, 4], [4, 0, 9], [3, 5, 8, 11]])
-def test_information_of_the_map_says_the_same_of_poses_as_one_in_their_frame(poses):
+def test_information_derived_from_that_of_the_map_equals_that_of_the_poses(poses):
     joint = JointMap.of(Met(2, ONE_WAY).maps[0])
     kept = joint.information(range(len(joint.values.poses)))
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Maps with common landmarks are aligned with their covariances, which tell the noise between."""
+"""Maps with common landmarks are aligned by their covariances, which also estimates the noise."""
 
 from dataclasses import replace
 
@@ -100,7 +100,7 @@ def test_a_single_wrong_map_does_not_change_the_factor():
     assert variance_factor(of_team, 3) < 3.0 * expected
 
 
-def test_two_robots_cannot_tell_noise_from_a_wrong_map():
+def test_two_robots_cannot_distinguish_noise_from_a_wrong_map():
     _, of_team = maps(6, robots=2)
 
     assert variance_factor(of_team, 3) == 1.0

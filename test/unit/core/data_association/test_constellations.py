@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks without ID are found in another frame, or refused if they fit there twice."""
+"""Landmarks without ID are found in another frame, or rejected if they fit there twice."""
 
 import numpy as np
 import pytest
@@ -108,7 +108,7 @@ HALF = np.add(random_points(5, 3), [9.0, 0.0])
         (np.vstack([HALF, -HALF]), np.vstack([HALF, -HALF])),
     ],
 )
-def test_symmetric_and_repeated_landmarks_are_refused(ours, theirs):
+def test_symmetric_and_repeated_landmarks_are_rejected(ours, theirs):
     rng = np.random.default_rng(0)
 
     failure = shared_landmarks(

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two numbers of one landmark become one, and what is said of it is then said together."""
+"""Duplicates of a landmark are merged, which conditions the state on their being one point."""
 
 import numpy as np
 import pytest
@@ -57,7 +57,7 @@ def coarsely_started(kind, points=POINTS, unknown=(0.0, 0.0, 0.0)):
 
 
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
-def test_merging_tells_nothing_about_a_motion_of_everything(kind):
+def test_merging_adds_no_information_about_the_global_pose(kind):
     sigma = (0.5, 0.8, 0.3)
     known, (one, _, other, _) = coarsely_started(kind)
     unknown, (one_of_unknown, _, other_of_unknown, _) = coarsely_started(kind, unknown=sigma)
@@ -73,7 +73,7 @@ def test_merging_tells_nothing_about_a_motion_of_everything(kind):
     np.testing.assert_allclose(P, P_known + unknown_place(state, at, sigma), atol=1e-9)
 
 
-def test_landmarks_apart_stay_apart_however_uncertain_the_motion_of_everything():
+def test_landmarks_apart_stay_apart_however_uncertain_the_global_pose():
     points = np.vstack([POINTS[:2], POINTS[:1] + np.array([1.0, 0.0]), POINTS[3:]])
     filter_, landmarks = coarsely_started('fej', points, unknown=(5.0, 5.0, 0.3))
 

@@ -26,7 +26,7 @@ def place(records, number):
 
 
 def rejected(estimator, reason):
-    """Return how many observations were refused for a reason, and of which landmarks."""
+    """Return how many observations were rejected for a reason, and of which landmarks."""
     return estimator.statistics.total(reason), {
         r.id for r in estimator.statistics.rejections if r.reason is reason}
 
@@ -158,12 +158,12 @@ def test_a_landmark_is_suspected_only_far_beyond_the_gate(probability, doubted):
     (10, 2, 0.0, True)])
 def test_a_landmark_counts_as_moved_after_ten_observations_from_apart_or_by_two_robots(
         times, robots, step, certain):
-    doubt = MovedLandmarkEvidence()
+    evidence = MovedLandmarkEvidence()
 
     for k in range(times):
-        doubt.add(f'r{k % robots}', np.array([7.0, -step * k]))
+        evidence.add(f'r{k % robots}', np.array([7.0, -step * k]))
 
-    assert doubt.is_sufficient() == certain
+    assert evidence.is_sufficient() == certain
 
 
 def robots_and_landmarks(*owners):
@@ -200,7 +200,7 @@ def test_landmarks_are_trusted_once_trusted_ones_confirm_a_scan_of_them():
     assert [f.is_trusted for f in landmarks] == [True, True, True, True, False]
 
 
-def test_what_a_lost_robot_has_started_is_removed_and_what_others_confirm_stays():
+def test_landmarks_of_a_lost_robot_are_removed_unless_others_confirm_them():
     state, robots, landmarks = robots_and_landmarks('r1', 'r2', 'r1', 'r2', 'r1')
     see(state, 30, robots['r2'], landmarks[:3])
 
@@ -209,7 +209,7 @@ def test_what_a_lost_robot_has_started_is_removed_and_what_others_confirm_stays(
     assert [*state.landmarks.values()] == landmarks[:4]
 
 
-def test_what_a_scan_that_failed_has_started_is_removed_at_once():
+def test_landmarks_started_by_a_failed_scan_are_removed_at_once():
     state, robots, landmarks = robots_and_landmarks('r1', 'r1', 'r2', 'r1', 'r1')
 
     see(state, 20, robots['r1'], [*landmarks[:2], landmarks[3]], failed=landmarks[:2])

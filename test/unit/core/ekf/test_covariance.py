@@ -151,7 +151,7 @@ READERS = {
 
 
 @pytest.mark.parametrize('read', READERS.values(), ids=READERS)
-def test_what_is_read_contains_all_propagations(team, read):
+def test_all_that_is_read_contains_all_propagations(team, read):
     rng = np.random.default_rng(8)
     covariance, slots, book = both(rng, team)
     propagate_in_turn((covariance, book), slots, rng)

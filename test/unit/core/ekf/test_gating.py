@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A gross outlier is refused by itself, with its distance; right observations pass."""
+"""A gross outlier alone is rejected, with its distance; correct observations pass."""
 
 from dataclasses import replace
 
@@ -253,7 +253,7 @@ def test_trusted_landmarks_decide_whether_a_pose_is_suspected(trusted, failed, s
     assert statistics.mostly_failed() == suspected
 
 
-def test_untrusted_landmarks_of_other_robots_tell_nothing_about_a_pose():
+def test_untrusted_landmarks_of_other_robots_do_not_count_for_a_pose():
     statistics = ScanGateStatistics()
     for k in range(3):
         statistics.add('r1', Landmark(('', k), Slot(0, 2), 'r2', 0, is_trusted=False), True)

@@ -3,16 +3,16 @@
 """
 Lemma 1 of [Liu]: the rank of the local observability matrix M of a run with noise.
 
-M is put together from the very Phi and H that a run of the filter multiplied its covariance with,
-and from what carries that of the invariant filter to its newest estimate.
+M is built from the Phi and H by which a run of the filter multiplied its covariance, and from the
+transport of the covariance of the invariant filter to its newest estimate.
 
 Mutations, each tried once in a copy of the sources, gave FEJ the rank of the standard filter:
-standard Phi, current landmarks in H, first estimates refreshed by updates; the current pose in H,
-which is the first estimate unless another robot has corrected it, only with `held_robots`, and so
-with robots in sight the current pose of the seen one. The invariant filter got it without the
-transport after an update, and with three iterations without that between them.
+standard Phi, current landmarks in H, first estimates refreshed by updates; only with `held_robots`
+the current pose in H, as it is the first estimate unless another robot has corrected it, and
+likewise the current pose of an observed robot. The invariant filter got it without the transport
+after an update, and with three iterations without the transport between them.
 
-Below that: the recorder, which keeps the same M of any filter that runs, and what is read from M.
+The last tests are of the recorder, which builds the same M of any filter during a run.
 """
 
 import numpy as np
@@ -27,7 +27,7 @@ from fej_slam_ros.core.ekf.state import JointState
 from helpers.core import central_differences, quarter_turn, SmallTeam, turn, Witness
 
 KINDS = ['standard', 'ideal', 'fej', 'invariant']
-#: Those to which nothing but a rigid motion of everything stays unknown.
+#: Filters to which only rigid motions of the whole state are unobservable.
 CONSISTENT = ['ideal', 'fej', 'invariant']
 
 #: Singular values above this part of the largest count: zeros are 1e-16, the others above 1e-4.
@@ -40,7 +40,7 @@ def joint_steps(team, steps):
 
 
 def held_robots(team, steps):
-    """Move robots one by one; who moved looks only after the others have corrected it."""
+    """Move robots one by one; each observes only after the others have corrected it."""
     turns = []
     for name in team.names:
         others = [other for other in team.names if other != name]
@@ -49,7 +49,7 @@ def held_robots(team, steps):
 
 
 def begin(kind, robots=2, landmarks=2, seed=3, iterations=1, **world):
-    """Return a team and its filter, which has started all landmarks and knows a witness."""
+    """Return a team, its filter, which has started all landmarks, and a witness of its calls."""
     team, witness = SmallTeam(seed, robots, landmarks, **world), Witness()
     filter_ = team.start(kind, witness, iterations)
     team.step(filter_, 1, team.names, team.names)

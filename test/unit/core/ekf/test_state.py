@@ -1,11 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Where variables are and who turns them; one that leaves takes nothing with it but itself.
+Slots of variables and the robots with which they rotate; a removal changes no other variable.
 
-Mutations of who turns what, each tried once in a copy of the sources, that fail here: the first
-robot turns everything (as does the comparison in test_invariant), prior landmarks turn, places do
-not, what was owned by a robot that has left turns with nobody, the owners of before a removal.
+Mutations of the rotation owners, each tried once in a copy of the sources, that fail here: the
+first robot rotates all points (also caught by the comparison in test_invariant), prior landmarks
+rotate, rendezvous points do not, points of a removed robot do not, or the owners before a removal
+stay in use.
 """
 
 import numpy as np
@@ -18,7 +19,7 @@ from helpers.core import SmallTeam
 
 
 def mapped(kind='fej'):
-    """Return a team of three robots and its filter, which knows four landmarks."""
+    """Return a team of three robots and its filter with four landmarks."""
     team = SmallTeam(seed=5, robots=3, landmarks=4)
     filter_ = team.start(kind)
     for stamp in (1, 2, 3):
@@ -89,7 +90,7 @@ def test_a_removed_landmark_restarts_at_its_next_observation():
 
 
 def owned(names=('r1', 'r2')):
-    """Return a state with robots, landmarks 1, 2, ... of one each, and a place of the last."""
+    """Return robots with landmarks 1, 2, ... of one each, and a rendezvous point of the last."""
     state = state_of_prior_map(PriorMap((91, 92), np.zeros((2, 2)), np.eye(4)))
     for number, name in enumerate(names, start=1):
         robot = state.insert_robot(name, 0, np.zeros(3), np.eye(3))
@@ -100,7 +101,7 @@ def owned(names=('r1', 'r2')):
 
 
 def turned_by(state):
-    """Return which robot turns each variable of a state, if any does."""
+    """Return the robot with which each variable of a state rotates, if there is one."""
     positions, owner, headings = state.heading_owners()
     names = {robot.slot.start + 2: name for name, robot in state.robots.items()}
     by_start = {
@@ -177,7 +178,7 @@ def test_positions_are_the_first_two_states_of_each_variable():
     assert position_indices([]).shape == (0, 2)
 
 
-def test_variables_removed_together_leave_what_they_leave_one_by_one():
+def test_variables_removed_together_leave_the_same_state_as_one_by_one():
     team = SmallTeam(seed=8, landmarks=7)
     scan, states = team.look('r1'), []
     for _ in range(2):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The hash tells every bit of the estimate, and nothing of how it is stored."""
+"""The hash depends on every bit of the estimate, and not on how it is stored."""
 
 from itertools import permutations
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What a robot sees of its frame is the same wherever that frame is and however it is turned."""
+"""A state in the frame of a robot does not depend on the global pose of the state."""
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
@@ -18,14 +18,14 @@ from fej_slam_ros.core.records import Motion, Observation, RendezvousKey, Scan
 from fej_slam_ros.core.settings import Settings
 from helpers.core import central_differences, pose_difference, quarter_turn, turn, wrapped
 
-#: Where positions and headings are in the vector of `a_team`.
+#: States of positions and headings in the vector of `a_team`.
 POSITIONS = [slice(0, 2), slice(3, 5), slice(6, 8), slice(8, 10)]
 HEADINGS = [2, 5]
 POINTS = np.array([[20.0, 3.0], [22.0, -4.0], [26.0, 2.0], [25.0, -2.0]])
 
 
 def a_team(x, P, x_first=None):
-    """Return two robots, a landmark and a place, which are correlated."""
+    """Return two robots, a landmark and a rendezvous point, which are correlated."""
     covariance = Covariance()
     slots = covariance.insert(P).split([3, 3, 2, 2])
     return JointState([
@@ -44,11 +44,11 @@ def numbers(seed=1):
 
 
 def relative(x, name):
-    """Return everything as a robot sees it, written out once more."""
+    """Return the vector x in the frame of a robot, computed independently."""
     k = {'r1': 0, 'r2': 3}[name]
     seen = x.copy()
-    for place in POSITIONS:
-        seen[place] = turn(x[k + 2]).T @ (x[place] - x[k:k + 2])
+    for position in POSITIONS:
+        seen[position] = turn(x[k + 2]).T @ (x[position] - x[k:k + 2])
     seen[HEADINGS] = wrapped(x[HEADINGS] - x[k + 2])
     return seen
 
@@ -60,23 +60,23 @@ def headings_wrapped(a, b):
     return difference
 
 
-def moved_as_a_whole(x):
-    """Return how everything at x moves with a shift and a turn of all, (10, 3)."""
+def rigid_motions(x):
+    """Return the derivative (10, 3) of x by a translation and a rotation of the whole state."""
     N = np.zeros((10, 3))
-    for place in POSITIONS:
-        N[place] = np.column_stack([np.eye(2), quarter_turn(x[place])])
+    for position in POSITIONS:
+        N[position] = np.column_stack([np.eye(2), quarter_turn(x[position])])
     N[HEADINGS, 2] = 1.0
     return N
 
 
 def seen(state, name='r2', linearization=None):
-    """Return the estimate and the covariance as a robot sees them."""
+    """Return estimate and covariance in the frame of a robot."""
     found = in_frame_of(state, state.robots[name], linearization or Standard())
     return found.x_hat, found.marginal(found.variables())
 
 
 @pytest.mark.parametrize('name', ['r1', 'r2'])
-def test_everything_is_where_the_robot_sees_it(name):
+def test_estimate_and_covariance_are_relative_to_the_robot(name):
     x, P = numbers()
 
     x_seen, P_seen = seen(a_team(x, P), name)
@@ -88,7 +88,7 @@ def test_everything_is_where_the_robot_sees_it(name):
 
 
 @pytest.mark.parametrize('name', ['r1', 'r2'])
-def test_the_robot_is_at_the_origin_for_certain(name):
+def test_the_robot_is_exactly_at_the_origin(name):
     team = a_team(*numbers())
 
     found = in_frame_of(team, team.robots[name], Standard())
@@ -99,12 +99,12 @@ def test_the_robot_is_at_the_origin_for_certain(name):
     assert_array_equal(found.first_estimate(robot), np.zeros(3))
 
 
-def test_what_is_moved_as_a_whole_looks_the_same():
+def test_a_rigid_motion_of_the_whole_state_changes_nothing():
     x, P = numbers()
     g = np.array([30.0, -20.0, 2.0])
     moved, T = x.copy(), np.eye(10)
-    for place in POSITIONS:
-        moved[place], T[place, place] = turn(g[2]) @ x[place] + g[:2], turn(g[2])
+    for position in POSITIONS:
+        moved[position], T[position, position] = turn(g[2]) @ x[position] + g[:2], turn(g[2])
     moved[HEADINGS] = wrapped(x[HEADINGS] + g[2])
 
     x_moved, P_moved = seen(a_team(moved, T @ P @ T.T))
@@ -117,10 +117,10 @@ def test_what_is_moved_as_a_whole_looks_the_same():
 
 @pytest.mark.parametrize(('linearization', 'is_first'), [
     (Standard(), False), (Invariant(), False), (FirstEstimates(), True)])
-def test_that_where_everything_is_was_unknown_is_not_seen(linearization, is_first):
+def test_an_uncertain_global_pose_changes_nothing(linearization, is_first):
     x, P = numbers()
     x_first = x + np.random.default_rng(2).normal(0.0, 0.3, 10)
-    N = moved_as_a_whole(x_first if is_first else x)
+    N = rigid_motions(x_first if is_first else x)
     unknown = N @ np.diag([100.0, 100.0, 1.0]) @ N.T
 
     _, P_unknown = seen(a_team(x, P + unknown, x_first), linearization=linearization)
@@ -130,8 +130,8 @@ def test_that_where_everything_is_was_unknown_is_not_seen(linearization, is_firs
     assert_allclose(P_unknown, P_seen, atol=1e-11)
 
 
-def looking(state, linearization, name, pose):
-    """Return a filter whose robot sees the points as from a true pose, for the first time."""
+def observing(state, linearization, name, pose):
+    """Return a filter that has started the points by a scan from a true pose."""
     z = (POINTS - pose[:2]) @ turn(pose[2])
     R = 0.01 * np.eye(2)
     found = Filter(state, linearization, Gate(1.0))
@@ -141,22 +141,22 @@ def looking(state, linearization, name, pose):
 
 
 @pytest.mark.parametrize('policy', [Standard, FirstEstimates, Invariant])
-def test_a_robot_joins_whose_heading_wandered_before_it_saw_anything(policy):
+def test_a_robot_joins_whose_heading_drifted_before_its_first_observation(policy):
     pose_1, pose_2 = np.array([18.0, 0.0, 0.0]), np.array([18.0, 1.0, 0.2])
-    known, wandering = JointState(), JointState()
+    known, drifting = JointState(), JointState()
     known.insert_robot('r1', 40, pose_1, 1e-4 * np.eye(3))
-    wandering.insert_robot('r2', 0, np.zeros(3), np.zeros((3, 3)))
-    # It says straight on for 20 m, to 0.3 rad in the end.
+    drifting.insert_robot('r2', 0, np.zeros(3), np.zeros((3, 3)))
+    # Its odometry is straight over 20 m, with 0.3 rad at the end.
     Q = np.diag([1e-4, 1e-4, 0.3**2 / 40])
     for stamp in range(1, 41):
-        Filter(wandering, policy(), Gate(1.0)).predict(
+        Filter(drifting, policy(), Gate(1.0)).predict(
             Motion('r2', stamp, np.array([0.5, 0.0, 0.0]), Q))
     team, group = (
-        looking(known, policy(), 'r1', pose_1), looking(wandering, policy(), 'r2', pose_2))
+        observing(known, policy(), 'r1', pose_1), observing(drifting, policy(), 'r2', pose_2))
     assert np.sqrt(fit(team.state, group.state).P[2, 2]) > Settings.join_heading_sigma
 
     assert MapJoiner(3, 0.999).join(team, group) is None
 
-    # Observations without an error put it where it is; the fit ends at 1e-10.
+    # Observations without an error give the true pose; the fit ends at 1e-10.
     pose = team.state.estimate(team.state.robots['r2'])
     assert_allclose(pose_difference(pose, pose_2), 0.0, atol=1e-9)

@@ -156,15 +156,6 @@ def test_a_gross_error_at_step_0_places_no_robot_whose_start_is_unknown():
     assert 'r2' not in estimator.groups.team.robots
 
 
-def test_observations_of_step_0_are_used_once():
-    records = [*still(['r1', 'r2']), *look(r1=[0, 1, 2], r2=[0, 1, 3])]
-
-    estimator, _ = estimate(records)
-
-    assert estimator.innovations.nis['r1'].dof == estimator.innovations.nis['r2'].dof == 0
-    assert sorted(number for _, number in estimator.groups.team.state.landmarks) == [0, 1, 2, 3]
-
-
 def test_an_observation_of_a_known_landmark_at_step_0_is_used():
     known = RobotSettings('r2', 2, tuple(POSES['r2']), (0.5, 0.5, 0.1))
     records = [*still(['r1', 'r2']), *look(r2=[0]), *look(SECOND, r1=[0])]

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Two passes through the same time never meet in one estimate; max_delay 100 ms, stale 1 s."""
+"""Two passes through the same time never mix in an estimate; max_delay 100 ms, stale 1 s."""
 
 from dataclasses import replace
 
@@ -20,8 +20,8 @@ from helpers.ros import (
 #: Both robots, odometry and scans every 100 ms for 4 s.
 PASS = [raw_record(record) for record in meeting(41)]
 TRUTH = [raw_record(record) for record in meeting_truth(41)]
-#: What tells that all robots have gone back, in the order of the messages.
-TOLD = 2 + 4 * (MIN_RETURN_RECORDS - 1) - 1
+#: Number of messages of a second pass by which it is detected.
+DETECTED = 2 + 4 * (MIN_RETURN_RECORDS - 1) - 1
 
 
 def later(messages, seconds=10.0):
@@ -154,7 +154,7 @@ def test_data_delayed_by_a_link_failure_are_no_jump(option):
 
 
 def test_few_old_messages_of_all_robots_are_late_and_no_jump():
-    old, more = PASS[:TOLD - 1], PASS[TOLD - 1:2 * TOLD - 2]
+    old, more = PASS[:DETECTED - 1], PASS[DETECTED - 1:2 * DETECTED - 2]
 
     run, = runs_of(
         [*PASS[:-8], *old, *PASS[-8:-4], *more, *PASS[-4:]], on_time_jump='reset')
@@ -206,9 +206,9 @@ def test_a_jump_of_all_robots_is_detected_after_that_of_a_single_robot():
 
 
 def test_old_messages_at_the_end_of_the_input_are_late_and_no_jump():
-    run, = runs_of([*PASS, *PASS[:TOLD - 1]])
+    run, = runs_of([*PASS, *PASS[:DETECTED - 1]])
 
-    assert counts(run) == {'duplicate': TOLD - 1}
+    assert counts(run) == {'duplicate': DETECTED - 1}
     assert run.estimator.used('r1') == ONE_PASS.estimator.used('r1')
 
 

@@ -117,7 +117,7 @@ def test_the_round_trip_is_measured_whatever_the_clocks_of_the_robots():
     assert measured == pytest.approx(there + back, abs=2e6)
 
 
-def test_what_is_measured_while_in_reach_arrives_within_two_periods():
+def test_measurements_made_in_reach_arrive_within_two_periods():
     robots = team('p', 'q')
     radio = Radio(robots, np.random.default_rng(1))
     radio.run(2.0)
@@ -160,7 +160,7 @@ def test_no_more_bytes_are_sent_than_the_rate_allows():
     assert robots['p'].exchange.bytes_sent['block'] <= 5_000 * 4.1 + 1_300
 
 
-def test_blocks_are_sent_to_nobody_while_nobody_is_in_reach():
+def test_no_blocks_are_sent_while_no_robot_is_in_reach():
     robots = team('p', 'q')
     drive(robots['p'])
     radio = Radio(robots, np.random.default_rng(1))
@@ -248,7 +248,7 @@ def test_messages_of_yesterday_change_nothing():
     assert known(robots['q'], 'p') == identities(driven)
 
 
-def test_a_robot_that_begins_afresh_is_given_everything_again():
+def test_a_restarted_robot_receives_everything_again():
     robots = team('p', 'q')
     driven = drive(robots['p'])
     radio = Radio(robots, np.random.default_rng(1))

@@ -57,7 +57,7 @@ def test_a_message_that_no_robot_sends_is_rejected_by_its_size():
         read(write(BlockMessage('p', block)))
 
 
-def test_what_a_robot_has_of_many_logs_is_told_in_several_messages():
+def test_knowledge_of_many_logs_is_divided_into_several_messages():
     known = [Knowledge(LogName(f'robot_{k}'), k, 3, NO_DIGEST) for k in range(100)]
 
     # The largest team, all of it in reach.

@@ -85,7 +85,7 @@ def test_with_keyframes_the_own_trajectory_is_that_of_the_union():
     assert own.trajectories['r1'].newest().stamp > kept[-1].stamp
 
 
-def test_a_robot_that_stands_still_uses_what_it_observes_of_others_as_they_do():
+def test_a_robot_that_stands_still_uses_its_observations_of_others_as_these_do():
     """Its last keyframe is its first pose; it observes the other one long after that."""
     settings = replace(team('r1', 'r2'), keyframe_distance=1.0)
     logs = {robot.name: TeamLogs(robot.name, 1, robot) for robot in settings.robots}

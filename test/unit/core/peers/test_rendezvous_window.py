@@ -53,7 +53,7 @@ def give(robots, sender, receiver):
 @pytest.mark.parametrize('experiment', ['map_joining', 'sensor_extension'])
 def test_both_robots_are_aligned_after_less_than_ten_kilobytes(experiment):
     robots, true = met(experiment)
-    # In one experiment only p observes; q has something to tell once it has heard of that.
+    # In one experiment only p observes; q has information once it has received these.
     for sender, receiver in ('pq', 'qp', 'pq'):
         if robots[sender].share_rendezvous(receiver) is not None:
             size = give(robots, sender, receiver)
@@ -83,7 +83,7 @@ def test_the_pose_of_the_other_robot_is_where_it_was_last_seen():
     assert_allclose(result.pose[:2], in_p[:2], atol=0.5)
 
 
-def test_without_a_rendezvous_there_is_nothing_to_tell():
+def test_without_a_rendezvous_there_is_no_information():
     robots, _ = met('map_joining', change=lambda record: (
         replace(record, observations=()) if isinstance(record, RobotScan) else record))
 
@@ -160,7 +160,7 @@ def test_poses_in_the_map_do_not_depend_on_the_frame_of_the_information():
     assert_allclose([compose(in_map[0], pose) for pose in stored], in_map, atol=1e-12)
 
 
-def test_a_robot_without_odometry_has_nothing_to_tell_yet():
+def test_a_robot_without_odometry_has_no_information():
     robots, _ = met('map_joining')
     robots['q'].share_rendezvous('p')
     parked = Robot('p', robots['p'].settings)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Logs of a team: the same whatever the order of their blocks, and nothing in them twice."""
+"""Logs of a team do not depend on the order of blocks, and contain each block once."""
 
 from dataclasses import replace
 
