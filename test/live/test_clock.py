@@ -122,15 +122,15 @@ def test_simulated_time_that_stands_still_is_a_warning(domain, tmp_path):
     clock = domain.node.create_publisher(
         live_helpers.message_class('rosgraph_msgs/msg/Clock'), '/clock', 10)
 
-    def told(text):
+    def is_reported(text):
         statuses = [s for r in reports[-1:] for s in r.status if s.name.endswith('filter')]
         return any(text in status.message for status in statuses)
 
-    domain.until(lambda: told('waiting for /clock: use_sim_time is set'))
+    domain.until(lambda: is_reported('waiting for /clock: use_sim_time is set'))
     domain.until(clock.get_subscription_count)
     clock.publish(raw('', outgoing.clock(5 * 10**9)).raw)
 
-    domain.until(lambda: told('simulated time has stood still for'))
+    domain.until(lambda: is_reported('simulated time has stood still for'))
 
 
 def test_simulated_time_out_of_range_is_ignored(domain, tmp_path):

@@ -127,7 +127,7 @@ class Drive:
         assert (status, 'Traceback' in errors) == (0, False), errors
         return monotonic() - begin
 
-    def told(self, robot='r1'):
+    def errors(self, robot='r1'):
         """Return the messages in the diagnostics of a robot at level ERROR."""
         return {
             status.message for report in self.reports for status in report.status
@@ -189,16 +189,16 @@ def test_a_flood_of_messages_of_one_robot_delays_no_pose_of_another(domain, tmp_
     drive = Drive(domain, tmp_path)
 
     drive.go(with_ids(20), 8, flood(kind))
-    ages, memory, told, end_time = drive.ages(), drive.memory(), drive.told(), drive.end_time()
+    ages, memory, errors, end_time = drive.ages(), drive.memory(), drive.errors(), drive.end_time()
 
     print(  # noqa: T201
         f'{len(ages)} poses, age {np.median(ages):.3f} s, p99'
         f' {np.quantile(ages, 0.99):.3f} s, max {ages.max():.3f} s; {memory:.0f} MB;'
-        f' end {end_time:.2f} s; {told}')
+        f' end {end_time:.2f} s; {errors}')
     assert np.quantile(ages, 0.95) < MAX_AGE
     assert memory < 200
     assert end_time < 2.0
-    assert any('messages a second on' in message for message in told)
+    assert any('messages a second on' in message for message in errors)
 
 
 @pytest.mark.slow
@@ -216,16 +216,16 @@ def test_excessive_scans_of_one_robot_delay_no_pose_of_another(
     drive = Drive(domain, tmp_path)
 
     drive.go(make_scan, seconds=10)
-    ages, memory, told, values = drive.ages(), drive.memory(), drive.told(), drive.values()
+    ages, memory, errors, values = drive.ages(), drive.memory(), drive.errors(), drive.values()
     end_time = drive.end_time()
 
     print(  # noqa: T201
         f'{len(ages)} poses, age {np.median(ages):.3f} s, p99'
         f' {np.quantile(ages, 0.99):.3f} s, max {ages.max():.3f} s; {memory:.0f} MB;'
-        f' end {end_time:.2f} s; {values}; {told}')
+        f' end {end_time:.2f} s; {values}; {errors}')
     assert len(ages) > 450
     assert np.quantile(ages, 0.95) < MAX_AGE
     assert memory < max_memory
     assert end_time < max_end_time
     assert reason is None or int(values[reason]) > 0
-    assert any(sentence in message for message in told) or not sentence
+    assert any(sentence in message for message in errors) or not sentence

@@ -266,7 +266,7 @@ def test_the_node_does_not_wait_for_the_solver_in_a_map_of_2000_poses(domain, tm
 def test_a_second_signal_ends_with_the_last_solution(domain, tmp_path):
     """A stopped solver stands for a solution that takes long."""
     smoother, reports, _ = smoothed_and_started(domain, tmp_path)
-    told = domain.listen('/rosout', 'rcl_interfaces/msg/Log')
+    log = domain.listen('/rosout', 'rcl_interfaces/msg/Log')
     domain.until(lambda: reports)
     assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 4)) == (0, '')
     # In the second report a second apart, the solution that has begun is found.
@@ -276,7 +276,7 @@ def test_a_second_signal_ends_with_the_last_solution(domain, tmp_path):
     os.kill(solver, signal.SIGSTOP)
 
     smoother.send_signal(signal.SIGINT)
-    domain.until(lambda: any('computing the final solution' in line.msg for line in told))
+    domain.until(lambda: any('computing the final solution' in line.msg for line in log))
     status, errors = domain.finish(smoother, signal.SIGTERM)
 
     assert (status, 'Traceback' in errors) == (0, False), errors

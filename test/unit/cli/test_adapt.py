@@ -131,8 +131,8 @@ def test_doctor_and_replay_name_adapt_for_a_bag_with_objects_only(tmp_path, caps
     bag = recording(tmp_path, foreign.aruco(1000, 'r1/base_link', {7: (1.0, 2.0, 0.3)}))
 
     assert run_verb('doctor', bag, '--params', settings) == 1
-    told = capsys.readouterr().out
-    assert 'use r1/aruco_detections (formats: [aruco]): adapt BAG' in told
-    assert 'never_joins' not in told
+    printed = capsys.readouterr().out
+    assert 'use r1/aruco_detections (formats: [aruco]): adapt BAG' in printed
+    assert 'never_joins' not in printed
     assert run_verb('replay', bag, '--params', settings, '--output', tmp_path / 'out') == 0
     assert 'formats: [aruco]): adapt BAG' in caplog.text

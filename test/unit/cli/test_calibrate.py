@@ -161,7 +161,7 @@ def test_earlier_errors_of_odometry_are_replaced_by_those_found(calibrate, place
 
     r1, r2 = parameters.load(places[2]).estimation.robots
     assert r1.odometry_scale == (1.0, 1.0)
-    # On circles, a bias is not told from a scale.
+    # On circles, a bias is not distinguished from a scale.
     assert r2.odometry_turn_bias == 0.01
 
 

@@ -606,7 +606,7 @@ def test_landmarks_that_an_ending_process_does_not_start_are_counted():
 
 
 def test_a_pose_that_arrives_after_its_step_depends_on_arrival_and_says_so():
-    hashes, told = set(), []
+    hashes, depends = set(), []
     for is_late in (False, True):
         estimator = Estimator(team('r1', anchor_sigma=(0.1, 0.1, 0.1)))
         for ms in range(0, 600, 100):
@@ -616,10 +616,10 @@ def test_a_pose_that_arrives_after_its_step_depends_on_arrival_and_says_so():
         estimator.add(PosePrior('r1', 300 * MS, np.array([5.0, 1.0, 0.0]), 0.01 * np.eye(3)))
         list(estimator.close())
         hashes.add(estimator.state_hash())
-        told.append(estimator.statistics.depends_on_arrival())
+        depends.append(estimator.statistics.depends_on_arrival())
 
     assert len(hashes) == 2
-    assert told == [False, True]
+    assert depends == [False, True]
 
 
 def test_a_pose_of_a_step_that_is_still_to_come_depends_on_no_arrival():

@@ -35,9 +35,9 @@ def test_observed_robot_and_position_change_the_fingerprint(change):
 def test_observations_without_id_are_last_in_the_given_order():
     seen = scan('r1', 0, [(-1, (9.0, 0.0)), (3, (1.0, 2.0)), (-1, (1.0, 0.0)), (2, (5.0, 5.0))])
 
-    told = [(s.id, s.z[0]) for s in merged([seen]).observations]
+    found = [(s.id, s.z[0]) for s in merged([seen]).observations]
 
-    assert told == [(2, 5.0), (3, 1.0), (-1, 9.0), (-1, 1.0)]
+    assert found == [(2, 5.0), (3, 1.0), (-1, 9.0), (-1, 1.0)]
 
 
 def test_scans_of_one_stamp_merge_independently_of_their_order():

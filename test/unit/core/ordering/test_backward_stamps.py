@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows written late are told from stamps that pass a time twice."""
+"""Rows written late are distinguished from stamps that pass a time twice."""
 
 import numpy as np
 import pytest

@@ -311,10 +311,10 @@ def test_replay_of_a_bag_recorded_in_a_loop(tmp_path, capsys, option, folders):
         words = bag, '--params', params, '--output', tmp_path / output, '--bag'
         assert run_verb('replay', *words) == 0, capsys.readouterr()
 
-    expected, *told = (summary_of(tmp_path / name) for name in ('expected', *folders))
-    assert [one['state_hash'] for one in told] == [expected['state_hash']] * len(folders)
-    assert [one['rmse'] for one in told] == [expected['rmse']] * len(folders)
-    assert not any(one['depends_on_arrival'] for one in told)
+    expected, *summaries = (summary_of(tmp_path / name) for name in ('expected', *folders))
+    assert [one['state_hash'] for one in summaries] == [expected['state_hash']] * len(folders)
+    assert [one['rmse'] for one in summaries] == [expected['rmse']] * len(folders)
+    assert not any(one['depends_on_arrival'] for one in summaries)
     assert not (tmp_path / f'out_{len(folders) + 1}').exists()
 
 

@@ -66,7 +66,7 @@ def test_knowledge_of_many_logs_is_divided_into_several_messages():
     messages = [*hellos('p' * 64, 1, 2, known, echoes)]
 
     assert max(map(len, messages)) <= MAX_SIZE
-    told = [entry for data in messages for entry in read(data).known]
-    assert told == known
+    received = [entry for data in messages for entry in read(data).known]
+    assert received == known
     assert {read(data).logs for data in messages} == {100}
     assert [read(data).echoes for data in messages] == [echoes, *[{}] * (len(messages) - 1)]

@@ -37,8 +37,8 @@ def path(tmp_path):
 
 
 def metadata(path):
-    told = YAML(typ='safe').load(path / 'metadata.yaml')
-    return told['rosbag2_bagfile_information']
+    content = YAML(typ='safe').load(path / 'metadata.yaml')
+    return content['rosbag2_bagfile_information']
 
 
 def names(folder):
@@ -135,15 +135,15 @@ def test_a_bags_file_is_read_without_its_folder(path):
 def test_a_bag_has_the_layout_of_version_9(path, storage):
     bags.write(path, RECORDS, storage)
 
-    told = metadata(path)
+    info = metadata(path)
     assert names(path) == [f'bag.{SUFFIXES[storage]}', 'metadata.yaml']
-    assert (told['version'], told['storage_identifier']) == (9, storage)
-    assert told['relative_file_paths'] == [f'bag.{SUFFIXES[storage]}']
-    assert told['message_count'] == len(RECORDS)
+    assert (info['version'], info['storage_identifier']) == (9, storage)
+    assert info['relative_file_paths'] == [f'bag.{SUFFIXES[storage]}']
+    assert info['message_count'] == len(RECORDS)
     assert {t['topic_metadata']['serialization_format']
-            for t in told['topics_with_message_count']} == {'cdr'}
+            for t in info['topics_with_message_count']} == {'cdr'}
     assert all(t['topic_metadata']['type_description_hash'].startswith('RIHS01_')
-               for t in told['topics_with_message_count'])
+               for t in info['topics_with_message_count'])
 
 
 @each_storage
@@ -261,15 +261,15 @@ def test_a_path_that_cannot_be_written_is_named(path):
 
 def unreadable(path):
     """Read a bag in both ways; return the explanation, which is one line either way."""
-    told = []
+    messages = []
     for read in (bags.topics, lambda path: list(bags.read(path))):
         with pytest.raises(UserError) as error:
             read(path)
-        told.append(str(error.value))
-    assert told[0] == told[1]
-    assert '\n' not in told[0]
-    assert told[0].startswith(str(path))
-    return told[0].removeprefix(f'{path} ')
+        messages.append(str(error.value))
+    assert messages[0] == messages[1]
+    assert '\n' not in messages[0]
+    assert messages[0].startswith(str(path))
+    return messages[0].removeprefix(f'{path} ')
 
 
 def test_a_missing_bag_is_named(path):

@@ -157,9 +157,9 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 
 
 def test_a_run_without_a_folder_has_a_summary():
-    run, told = finished_run(None, noisy_meeting())
+    run, summary = finished_run(None, noisy_meeting())
 
-    assert told['state_hash'] == run.estimator.state_hash()
+    assert summary['state_hash'] == run.estimator.state_hash()
 
 
 def test_present_day_stamps_keep_their_nanoseconds(folder):

@@ -211,21 +211,22 @@ def test_a_path_has_the_stamps_of_its_poses_and_the_last_one_in_its_header():
 
 
 def test_frames_that_have_not_joined_are_drawn_at_the_origin():
-    told = through_cdr(outgoing.view_frames(7, ['r1', 'r2'])).transforms
+    transforms = through_cdr(outgoing.view_frames(7, ['r1', 'r2'])).transforms
 
-    assert [(t.header.frame_id, t.child_frame_id) for t in told] == [
+    assert [(t.header.frame_id, t.child_frame_id) for t in transforms] == [
         ('map', 'r1/map'), ('map', 'r2/map')]
-    assert {(t.transform.translation.x, t.transform.rotation.w) for t in told} == {(0.0, 1.0)}
+    assert {(t.transform.translation.x, t.transform.rotation.w)
+            for t in transforms} == {(0.0, 1.0)}
 
 
 def test_a_rejection_has_all_known_values_and_no_others():
     gated = Rejection('r1', 5, RejectionReason.GATED, id=3, d2=20.5, threshold=13.8, observed='r3')
     late = Rejection('r1', 5, RejectionReason.LATE, delay=7)
 
-    told = [through_cdr(outgoing.rejection(rejected)) for rejected in (gated, late)]
+    statuses = [through_cdr(outgoing.rejection(rejected)) for rejected in (gated, late)]
 
-    assert [(status.message, status.level) for status in told] == [('gated', 1), ('late', 1)]
-    assert [{v.key: v.value for v in status.values} for status in told] == [
+    assert [(status.message, status.level) for status in statuses] == [('gated', 1), ('late', 1)]
+    assert [{v.key: v.value for v in status.values} for status in statuses] == [
         {'robot': 'r1', 'stamp_ns': '5', 'id': '3', 'seen': 'r3', 'reason': 'gated',
          'd2': '20.5', 'threshold': '13.8'},
         {'robot': 'r1', 'stamp_ns': '5', 'reason': 'late', 'delay_ns': '7'}]

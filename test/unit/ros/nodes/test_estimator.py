@@ -159,13 +159,13 @@ def test_an_integer_for_a_number_becomes_one(domain):
 def test_a_parameter_descriptor_has_meaning_and_range(domain, name, low, high, words):
     domain.estimate(**TEAM)
 
-    told, = domain.ask(
+    descriptor, = domain.ask(
         '/estimator/describe_parameters', services.DescribeParameters, names=[name]).descriptors
 
-    ranges = *told.floating_point_range, *told.integer_range
+    ranges = *descriptor.floating_point_range, *descriptor.integer_range
     assert [(r.from_value, r.to_value) for r in ranges] == [(low, high)] * (low is not None)
-    assert told.additional_constraints == words
-    assert told.description == str(parameters.known_parameters(TEAM['robots'])[name])
+    assert descriptor.additional_constraints == words
+    assert descriptor.description == str(parameters.known_parameters(TEAM['robots'])[name])
 
 
 @pytest.mark.parametrize(
@@ -307,8 +307,8 @@ def test_rejections_are_published_and_counted(domain, message, reason, number):
     domain.send(raw('r1/landmarks', message))
     domain.until(lambda: rejections and reports and reason in newest(reports, 'r1'))
 
-    told = values(rejections[0])
-    assert (told['robot'], told['reason'], told.get('id')) == ('r1', reason, number)
+    rejection = values(rejections[0])
+    assert (rejection['robot'], rejection['reason'], rejection.get('id')) == ('r1', reason, number)
     assert newest(reports, 'r1')[reason] == '1'
     assert reason not in newest(reports, 'r2')
 

@@ -99,10 +99,10 @@ def test_a_pose_arrives_as_it_was_published(viewed):
     publisher.publish(pose_message(7))
 
     viewed.domain.until(lambda: client.got(POSE))
-    told, = client.decoded(POSE)
-    assert (told.header.stamp.nanosec, told.header.frame_id) == (7, 'map')
-    assert (told.pose.pose.position.x, told.pose.pose.position.y) == (7.0, 2.0)
-    assert told.pose.covariance[[0, 7, 35]].tolist() == [0.5, 0.25, 0.125]
+    pose, = client.decoded(POSE)
+    assert (pose.header.stamp.nanosec, pose.header.frame_id) == (7, 'map')
+    assert (pose.pose.pose.position.x, pose.pose.pose.position.y) == (7.0, 2.0)
+    assert pose.pose.covariance[[0, 7, 35]].tolist() == [0.5, 0.25, 0.125]
 
 
 def test_a_publisher_of_another_quality_of_service_replaces_the_first(viewed):
@@ -130,9 +130,9 @@ def test_a_late_client_gets_the_map_although_others_are_connected(viewed):
 
         viewed.domain.until(lambda client=client: client.got(MAP))
 
-        told, *_ = client.decoded(MAP)
-        assert told.width == 1
-        assert np.frombuffer(told.data.tobytes()[:8], np.float32).tolist() == [1.0, 2.0]
+        cloud, *_ = client.decoded(MAP)
+        assert cloud.width == 1
+        assert np.frombuffer(cloud.data.tobytes()[:8], np.float32).tolist() == [1.0, 2.0]
 
 
 @pytest.mark.slow
@@ -200,8 +200,8 @@ def test_frames_that_have_not_joined_are_drawn_at_the_origin(viewed):
     client = viewed.client('/view/frames')
 
     viewed.domain.until(lambda: client.got('/view/frames'))
-    told = client.decoded('/view/frames')[-1].transforms
-    assert [(t.header.frame_id, t.child_frame_id) for t in told] == [
+    transforms = client.decoded('/view/frames')[-1].transforms
+    assert [(t.header.frame_id, t.child_frame_id) for t in transforms] == [
         ('map', 'r1/map'), ('map', 'r2/map')]
 
 
@@ -353,12 +353,12 @@ def test_simulated_time_is_used_if_published(viewed):
 
     clock.publish(raw('', outgoing.clock(1_500_000_000)).raw)
 
-    def told():
+    def has_simulated_time():
         client.got('/view/consistency', 0)
         return client.times[-1:] == [1_500_000_000]
 
     client.received['/view/consistency'] = []
-    viewed.domain.until(told)
+    viewed.domain.until(has_simulated_time)
 
 
 def test_the_time_of_the_machine_is_used_again_once_nobody_publishes_simulated_time(viewed):

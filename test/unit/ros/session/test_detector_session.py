@@ -171,8 +171,8 @@ def test_what_cannot_be_used_is_counted_and_named(messages, count, warning):
 
     run(session, *messages)
 
-    (_, told, counts), = session.counts()
-    assert warning in told
+    (_, message, counts), = session.counts()
+    assert warning in message
     assert counts[count] == (1 if messages else 0)
 
 
@@ -335,9 +335,9 @@ def test_diagnostics_have_the_counts_of_each_robot():
     run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
 
     counts = [*session.counts(), ('r2', 'no scans', {})]
-    _, told = report('detector', counts, 7)
+    _, diagnostics = report('detector', counts, 7)
 
-    status, of_r2 = told.status
+    status, of_r2 = diagnostics.status
     values = {entry.key: entry.value for entry in status.values}
     assert (status.name, status.level, values['landmarks']) == ('detector: r1', 0, '2')
     assert (of_r2.level, of_r2.message) == (1, 'no scans')

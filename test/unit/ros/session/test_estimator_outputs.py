@@ -250,9 +250,9 @@ def test_landmarks_without_ids_are_published_once_confirmed():
             odometry('r1', 100 * k, (0.0, 0.0, 0.0)), scan('r1', 100 * k, observations))]
     run, _ = driven(records)
 
-    told = overview(run)
+    published = overview(run)
 
-    assert ids_of(told['~/landmarks']) == [-3, -2]
-    ellipses = [m for m in told['~/markers'].markers if m.ns == 'landmark_ellipses']
+    assert ids_of(published['~/landmarks']) == [-3, -2]
+    ellipses = [m for m in published['~/markers'].markers if m.ns == 'landmark_ellipses']
     assert len(ellipses) == 2
     assert len(run.estimator.groups.team.state.landmarks) == 3

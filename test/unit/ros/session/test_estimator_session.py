@@ -43,22 +43,22 @@ def test_added_robots_get_files_and_removed_robots_keep_theirs(run, tmp_path):
     run.receive(odom('r3', 500))
 
     list(run.close())
-    told = run.write_files()
+    summary = run.write_files()
 
     lengths = {
         name: len((tmp_path / 'out' / f'trajectory_{name}.csv').read_text().splitlines())
         for name in ('r1', 'r2', 'r3')}
     assert lengths == {'r1': 6, 'r2': 6, 'r3': 2}
-    assert told['robots'].keys() == {'r1', 'r2', 'r3'}
+    assert summary['robots'].keys() == {'r1', 'r2', 'r3'}
 
 
 def test_a_path_ends_with_its_robot(run):
     run.change_team(['r1'])
 
-    told = {topic for topic, _ in run.outputs.maps_and_paths(lambda _: True)}
+    topics = {topic for topic, _ in run.outputs.maps_and_paths(lambda _: True)}
 
-    assert 'r1/path' in told
-    assert not any(topic.startswith('r2/') for topic in told)
+    assert 'r1/path' in topics
+    assert not any(topic.startswith('r2/') for topic in topics)
 
 
 def test_an_added_robot_has_the_settings_of_the_team_and_its_own_id(run):

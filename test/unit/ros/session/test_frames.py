@@ -124,12 +124,12 @@ def test_a_transform_to_a_frame_that_no_driver_has_is_reported(node, frames, is_
             f'{robot}/odom', replace(odometry_message(child=''), header=header(0, frame))))
 
     _, report = run.diagnostics.report(10**9, at_rest=False)
-    told = {status.name: status.message for status in report.status}
+    messages = {status.name: status.message for status in report.status}
     for robot, other in ('r1', 'r2'), ('r2', 'r1'):
         sentence = (
             f"its odometry is in the frame 'odom', as that of {other}, so that the transform from"
             f" map leads to '{robot}/odom': set tf_topics to robot")
-        assert (sentence in told[f'estimator: {robot}']) == is_reported
+        assert (sentence in messages[f'estimator: {robot}']) == is_reported
 
 
 def test_frames_of_parameters_do_not_change_with_the_odometry():

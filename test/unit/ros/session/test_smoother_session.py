@@ -245,11 +245,11 @@ def test_a_single_robot_publishes_its_own_map():
 
     list(run.adopt(solve(run.team.task())))
 
-    told = overview(run)
-    assert told.keys() == {
+    published = overview(run)
+    assert published.keys() == {
         'r1/path', 'r2/path', 'r1/map_landmarks', 'r2/map_landmarks', '~/markers'}
-    assert told['r2/map_landmarks'].header.frame_id == 'r2/map'
-    assert {m.header.frame_id for m in told['~/markers'].markers[1:]} == {'r1/map', 'r2/map'}
+    assert published['r2/map_landmarks'].header.frame_id == 'r2/map'
+    assert {m.header.frame_id for m in published['~/markers'].markers[1:]} == {'r1/map', 'r2/map'}
     assert levels(run)['r2'] == (1, 'r2 not joined: it has no rendezvous with another robot')
 
 
@@ -258,9 +258,9 @@ def test_joined_robots_publish_one_map_and_their_base_nodes():
 
     base_nodes = dict(run.adopt(solve(run.team.task())))
 
-    told = overview(run)
-    assert told.keys() == {'r1/path', 'r2/path', '~/landmarks', '~/markers'}
-    assert told['r2/path'].header.frame_id == 'map'
+    published = overview(run)
+    assert published.keys() == {'r1/path', 'r2/path', '~/landmarks', '~/markers'}
+    assert published['r2/path'].header.frame_id == 'map'
     base = base_nodes['r2/base_node']
     assert base.header.frame_id == 'map'
     # Where r2 was when it started, which exact measurements tell.
