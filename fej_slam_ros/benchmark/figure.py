@@ -76,12 +76,12 @@ def _steps(machine: Machine, steps: Sequence[StepTime]) -> Panel:
 
 
 def _peers(times: Sequence[PeerTime]) -> Panel:
-    return Panel('A step of two robots by 1 m, mean', 'landmarks n of the world', _by_name([
+    return Panel('A step of two robots by 1 m, mean', 'landmarks n of the world', _curves([
         (time.name, time.landmarks, time.times.mean) for time in times]))
 
 
 def _growth(times: Sequence[GrowthTime]) -> Panel:
-    return Panel('A new pose of the smoother, mean', 'poses n before', _by_name([
+    return Panel('A new pose of the smoother, mean', 'poses n before', _curves([
         (time.name, time.poses, time.times.mean) for time in times]))
 
 
@@ -104,7 +104,7 @@ def _soak(minutes: Sequence[SoakMinute]) -> Panel:
         '99th percentile': _curve([(minute.number, minute.p99) for minute in minutes])})
 
 
-def _by_name(points: Sequence[tuple[str, float, float]]) -> dict[str, Curve]:
+def _curves(points: Sequence[tuple[str, float, float]]) -> dict[str, Curve]:
     """Return the curves of sizes and times, each with the name of its curve."""
     return {
         name: _curve([(size, time) for other, size, time in points if other == name])

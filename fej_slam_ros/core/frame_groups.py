@@ -149,7 +149,7 @@ class FrameGroups:
                 np.diag(np.square(robot.start_sigma))) for robot in self._settings.robots)
 
     def is_map_given(self) -> bool:
-        """Return whether ``map`` is a place, not only the start of its anchor."""
+        """Return whether more than the start of its anchor defines ``map``."""
         return any(self._settings.anchor_pose) or self._has_reference()
 
     def begin(self, robot: RobotSettings, stamp: int) -> None:

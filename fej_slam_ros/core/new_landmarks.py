@@ -41,16 +41,16 @@ def start_landmarks(
     if not scan.observations:
         return []
     if len(scan.observations) > most:
-        ids = dict.fromkeys(s.id for s in _of_unknown(filter_, scan))
+        ids = dict.fromkeys(s.id for s in _unknown_observations(filter_, scan))
         scan = _without(scan, [*ids][most:], reason, statistics)
     associations = filter_.start_landmarks([scan])
     if must_end():
-        left_out = {s.id for s in _of_unknown(filter_, scan)}
+        left_out = {s.id for s in _unknown_observations(filter_, scan)}
         _without(scan, left_out, RejectionReason.INTERRUPTED, statistics)
     return associations
 
 
-def _of_unknown(filter_: Filter, scan: Scan) -> list[Observation]:
+def _unknown_observations(filter_: Filter, scan: Scan) -> list[Observation]:
     """Return the observations of landmarks that are not in the state."""
     landmarks = filter_.state.landmarks
     return [

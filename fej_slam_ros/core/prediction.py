@@ -51,7 +51,7 @@ class PosePredictor:
         if self._records and record.stamp <= self._records[-1].stamp:
             return False
         if len(self._records) > MAX_PENDING:
-            self._keep_from(len(self._records))
+            self._drop_before(len(self._records))
         self._records.append(record)
         return True
 
@@ -59,7 +59,7 @@ class PosePredictor:
         """Set the pose of the newest step, and the odometry pose (3,) at its stamp."""
         self._settled, self._settled_odometry = settled, odometry
         passed = bisect_right(self._records, settled.stamp, key=lambda record: record.stamp)
-        self._keep_from(max(passed - 1, 0))
+        self._drop_before(max(passed - 1, 0))
 
     def predict(self, settings: RobotSettings) -> PoseEstimate | None:
         """Return the pose at the newest odometry, None if no settled pose leads to it."""
@@ -92,7 +92,7 @@ class PosePredictor:
             motion, self._speeds = checked_increment(earlier, later, self._speeds, settings)
             if motion.impossible or motion.is_too_uncertain():
                 # The next prediction starts from a settled pose at or after the later record.
-                self._keep_from(k + 1)
+                self._drop_before(k + 1)
                 self._poses = later.pose[None]
                 continue
             begin = self._poses[k]
@@ -117,7 +117,7 @@ class PosePredictor:
         total: Array = N.sum(axis=0) + linear + linear.T + quadratic
         return total
 
-    def _keep_from(self, k: int) -> None:
+    def _drop_before(self, k: int) -> None:
         """Remove the records before number k and the increments from them."""
         if k > len(self._noise):
             self._speeds = UNKNOWN_SPEEDS

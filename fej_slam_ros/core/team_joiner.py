@@ -34,11 +34,12 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
 
-#: Time between two comparisons of the landmarks without ID of two groups [ns], and between two
-#: attempts to join groups that share so many variables; the cost of one grows with their cube.
+#: Time between two comparisons of the landmarks without ID of two groups [ns]. It is also that
+#: between two attempts to join groups that share VARIABLES_OF_PERIOD landmarks: the cost of an
+#: attempt grows with the cube of their number.
 COMPARISON_PERIOD = NS
 VARIABLES_OF_PERIOD = 200
-#: Of so many matches of landmarks without ID, one may be left out since it does not fit.
+#: Number of matches of landmarks without ID of which one may be left out because it does not fit.
 MATCHES_OF_MISFIT = 3
 #: Longest time between two attempts [ns].
 MAX_PAUSE = 60 * NS
@@ -254,14 +255,16 @@ class TeamJoiner:
         if 0 <= newest - compared_at < COMPARISON_PERIOD:
             return JoinFailure(reason)
         found = shared_landmarks(group.state, other.state)
-        failure = found if isinstance(found, JoinFailure) else self._join_by(group, other, found)
+        failure = (
+            found if isinstance(found, JoinFailure)
+            else self._join_by_matches(group, other, found))
         if failure is None:
             self._compared.pop(names, None)
         else:
             self._compared[names] = newest, failure.reason
         return failure
 
-    def _join_by(
+    def _join_by_matches(
         self, group: FrameGroup, other: FrameGroup, found: Mapping[LandmarkKey, LandmarkKey]
     ) -> JoinFailure | None:
         """Join another group whose landmarks, by key, were found in a group as others."""

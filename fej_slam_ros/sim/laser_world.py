@@ -173,7 +173,7 @@ def _random_posts(
             return posts
         post = np.append(rng.uniform(low, high), rng.uniform(*settings.post_radius))
         is_clear = _distance(paths, post[:2]) > PATH_DISTANCE + post[2] and all(
-            _to_wall(wall, post[:2]) > POST_DISTANCE + post[2] for wall in walls)
+            _wall_distance(wall, post[:2]) > POST_DISTANCE + post[2] for wall in walls)
         if is_clear and _distance(posts[:, :2], post[:2]) > POST_DISTANCE + 2.0 * post[2]:
             posts = np.vstack([posts, post])
     raise UsageError(
@@ -193,9 +193,9 @@ def _with_inner_walls(
         wall = np.concatenate([begin, end])
         beside = np.linspace(begin, end)
         if ((beside > low) & (beside < high)).all() and all(
-                _to_wall(wall, point) > distance for points, distance in
+                _wall_distance(wall, point) > distance for points, distance in
                 ((posts[:, :2], POST_DISTANCE), (paths[::10], PATH_DISTANCE)) for point in points
-        ) and all(_to_wall(other, point) > POST_DISTANCE
+        ) and all(_wall_distance(other, point) > POST_DISTANCE
                   for other in [*walls, *inner] for point in beside):
             inner.append(wall)
     return np.vstack([walls, *inner])
@@ -205,7 +205,7 @@ def _distance(points: Array, point: Array) -> float:
     return float(np.hypot(*(points - point).T).min(initial=np.inf))
 
 
-def _to_wall(wall: Array, point: Array) -> float:
+def _wall_distance(wall: Array, point: Array) -> float:
     along = wall[2:] - wall[:2]
     t = np.clip((point - wall[:2]) @ along / max(float(along @ along), 1e-9), 0.0, 1.0)
     return float(np.hypot(*(wall[:2] + t * along - point)))

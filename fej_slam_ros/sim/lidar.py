@@ -53,7 +53,7 @@ def true_ranges(poses: Array, angles: Array, discs: Array, walls: Array) -> Arra
     heading = poses[:, 2] + angles
     d = np.stack([np.cos(heading), np.sin(heading)], 1)
     return np.minimum(
-        _to_discs(poses[:, :2], d, discs), _to_walls(poses[:, :2], d, walls))
+        _disc_distances(poses[:, :2], d, discs), _wall_distances(poses[:, :2], d, walls))
 
 
 def measured(true: Array, settings: LidarSettings, rng: np.random.Generator) -> Array:
@@ -64,7 +64,7 @@ def measured(true: Array, settings: LidarSettings, rng: np.random.Generator) -> 
     return ranges
 
 
-def _to_discs(origins: Array, d: Array, discs: Array) -> Array:
+def _disc_distances(origins: Array, d: Array, discs: Array) -> Array:
     to_centre = discs[:, :2] - origins[:, None]
     along = np.einsum('nk,ndk->nd', d, to_centre)
     h2 = discs[:, 2] ** 2 - (np.sum(to_centre**2, axis=2) - along**2)
@@ -74,7 +74,7 @@ def _to_discs(origins: Array, d: Array, discs: Array) -> Array:
     return nearest
 
 
-def _to_walls(origins: Array, d: Array, walls: Array) -> Array:
+def _wall_distances(origins: Array, d: Array, walls: Array) -> Array:
     to_begin, along = walls[:, :2] - origins[:, None], walls[:, 2:] - walls[:, :2]
     with np.errstate(divide='ignore', invalid='ignore'):
         # origin + t d = begin + s along

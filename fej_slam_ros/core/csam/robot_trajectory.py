@@ -59,7 +59,7 @@ class RobotTrajectory:
         return self._lost is not None
 
     def lose(self, stamp: int, observations: tuple[Observation, ...]) -> None:
-        """Go on in a new frame after a motion that is not known."""
+        """Continue in a new frame after a motion that is not known."""
         self._start_own_frame(stamp, observations)
         self._find()
 
@@ -67,7 +67,7 @@ class RobotTrajectory:
         self, stamp: int, pose: Array, P: Array, observations: tuple[Observation, ...]
     ) -> None:
         """
-        Go on at a pose (3,) of covariance P (3, 3) in the present frame, given from outside.
+        Continue at a pose (3,) of covariance P (3, 3) in the present frame, given from outside.
 
         It counts as a motion from the last pose that is kept, whose covariance is added: that of
         the new pose is too large by twice that of the last one, and never too small.

@@ -43,8 +43,8 @@ MIN_LANDMARK_DISTANCE = 0.5
 #: Hypotheses that differ by less are the same [m], [rad].
 SAME_POSITION, SAME_HEADING = 0.5, 0.1
 #: Maximum numbers of landmarks of the smaller and of the larger map, those observed last: the
-#: first whose graph has at most so many paths of two edges, and edges by which five landmarks may
-#: fit. With the maximum number of hypotheses, this bounds the time to some tenths of a second.
+#: first pair is used whose graph has at most MAX_PATHS paths of two edges, and whose truss at most
+#: MAX_EDGES edges. With MAX_HYPOTHESES, this bounds the time to some tenths of a second.
 MAX_LANDMARKS = (40, 300), (20, 300), (20, 150), (20, 75)
 MAX_PATHS, MAX_EDGES, MAX_HYPOTHESES = 4_000_000, 5_000, 10
 #: Number of fits of a hypothesis, each to the landmarks that fit the one before.

@@ -32,8 +32,8 @@ from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan
 CONFIRMATION_SCORE = 3
 MAX_UNOBSERVED = 20
 
-#: Observations outside of a robot's field of view, which single wrong ranges must not extend: one
-#: from this number of observations on, and one in so many, of which the farthest are kept.
+#: Number of observations from which on one is outside of a robot's field of view, which a single
+#: wrong range must not extend; number of which one more is; maximum number of those outside.
 MIN_VIEW_OBSERVATIONS, OUTSIDE_ONE_IN, MAX_OUTSIDE = 20, 1000, 100
 #: Smallest field of view [m, rad].
 MIN_VIEW_RANGE, MIN_VIEW_BEARING = 1.0, 0.5
@@ -42,8 +42,9 @@ MIN_VIEW_RANGE, MIN_VIEW_BEARING = 1.0, 0.5
 SURE_RANGE = 0.8
 SURE_BEARING = 0.9
 DETECTION_PROBABILITY = 0.9
-#: Share of so many such landmarks that a robot must have observed so far for missing ones to mean
-#: that it is lost. In Victoria Park, where trees hide each other, it is a third.
+#: Minimum share of such landmarks that a robot must have observed so far, and minimum number of
+#: them, for missed ones to mean that it is lost. In Victoria Park, where trees hide each other,
+#: the share is a third.
 RELIABLE_SHARE, MIN_EXPECTED = 0.7, 100
 
 

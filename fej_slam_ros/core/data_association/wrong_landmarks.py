@@ -90,9 +90,9 @@ def report_moved(state: JointState, innovation: Innovation, statistics: Statisti
             a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
     if not innovation.rejected:
         return
-    passed = _of_landmarks(a for a in innovation.used if a.observer.name not in suspected)
-    rejected = _of_landmarks(gated.association for gated in innovation.rejected)
-    contradicting = _of_landmarks(
+    passed = _landmark_pairs(a for a in innovation.used if a.observer.name not in suspected)
+    rejected = _landmark_pairs(gated.association for gated in innovation.rejected)
+    contradicting = _landmark_pairs(
         gated.association for gated in innovation.rejected if gated.d2 > CONTRADICTION_D2)
     for robot, landmark in contradicting:
         if _pose_is_confirmed(robot, landmark, passed, rejected):
@@ -105,7 +105,7 @@ def forget_moved(state: JointState, innovation: Innovation, statistics: Statisti
     report_moved(state, innovation, statistics)
     moved = {
         landmark.key: landmark
-        for _, landmark in _of_landmarks(gated.association for gated in innovation.rejected)
+        for _, landmark in _landmark_pairs(gated.association for gated in innovation.rejected)
         if landmark.was_moved() and landmark.key in state.landmarks}
     state.remove_all([*moved.values()])
 
@@ -115,7 +115,7 @@ MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation, StatisticsByRobo
     'report': report_moved, 'forget': forget_moved, 'ignore': ignore_moved}
 
 
-def _of_landmarks(associations: Iterable[Association]) -> list[tuple[Robot, Landmark]]:
+def _landmark_pairs(associations: Iterable[Association]) -> list[tuple[Robot, Landmark]]:
     """Return the observers with the landmarks that they observed."""
     return [(a.observer, a.observed) for a in associations if isinstance(a.observed, Landmark)]
 

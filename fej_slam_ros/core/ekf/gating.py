@@ -183,7 +183,7 @@ class Gate:
         suspected: Sequence[str],
     ) -> tuple[Sequence[Association], Flags]:
         """Return the observations and which of them to use, given the suspected robots."""
-        return observations, passed & ~_by_or_of(suspected, observations)
+        return observations, passed & ~_involve(suspected, observations)
 
     def _suspected(self, observations: Sequence[Association], d2: Array) -> list[str]:
         """Return the robots whose scans mostly failed."""
@@ -222,7 +222,7 @@ class InflatingGate(Gate):
         return inflated, passed | (d2 <= self.threshold)
 
 
-def _by_or_of(robots: Container[str], observations: Sequence[Association]) -> Flags:
+def _involve(robots: Container[str], observations: Sequence[Association]) -> Flags:
     """Return which observations are by or of some robots."""
     return np.array([
         a.observer.name in robots or (isinstance(a.observed, Robot) and a.observed.name in robots)

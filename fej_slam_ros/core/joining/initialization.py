@@ -49,7 +49,7 @@ def initialize(
     robots = sorted(state.robots.values(), key=lambda robot: robot.name != anchor)
     keys = {key for scan in scans.values() for key, _ in scan}
     observed = [landmark for key, landmark in state.landmarks.items() if key in keys]
-    rest = [landmark for key, landmark in state.landmarks.items() if key not in keys]
+    unobserved = [landmark for key, landmark in state.landmarks.items() if key not in keys]
     prior = _estimates(state, robots, observed)
     scans, new_poses, shared = _determined(prior, scans, max_new)
     if not new_poses and not shared:
@@ -58,9 +58,9 @@ def initialize(
         prior, new_poses, shared, scans,
         partial(_linearized_at, linearization, state, scans.keys(), stamp))
     known = prior
-    if rest:
-        known = _estimates(state, robots, [*observed, *rest])
-        solved = _with_rest(solved, prior, known)
+    if unobserved:
+        known = _estimates(state, robots, [*observed, *unobserved])
+        solved = _with_unobserved(solved, prior, known)
     located = _joint_state(solved, state, scans, stamp)
     x_prior = [*(solved.poses | known.poses).values(), *(solved.points | known.points).values()]
     transport_errors(linearization, located, np.concatenate(x_prior))
@@ -104,7 +104,7 @@ def _estimates(
         state.marginal([*robots, *landmarks]))
 
 
-def _with_rest(
+def _with_unobserved(
     solved: InitialAlignment, prior: InitialAlignment, known: InitialAlignment
 ) -> InitialAlignment:
     """

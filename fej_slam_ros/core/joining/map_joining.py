@@ -35,8 +35,8 @@ from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 
 
-#: Without a landmark that was observed once, the others may determine the heading this many times
-#: less well.
+#: Factor on the largest standard deviation of the heading where the fit leaves out a landmark that
+#: was observed once.
 SINGLE_OBSERVATION_FACTOR = 2.0
 
 

@@ -105,11 +105,11 @@ class OdometryIncrements:
             return self._end.stamp
         return self.waiting[0].stamp if self.waiting else None
 
-    def used_for(self, stamp: int) -> int:
+    def used_stamp(self, stamp: int) -> int:
         """Return the stamp of the odometry by which the robot has moved to an event at a stamp."""
         return stamp if self._end is None else self._end.stamp
 
-    def needed_for(self, stamp: int) -> int:
+    def needed_stamp(self, stamp: int) -> int:
         """Return the stamp up to which an event at a stamp needs odometry."""
         end = self.next_stamp()
         return stamp if end is None else max(stamp, end)

@@ -157,7 +157,7 @@ class Sequencer:
                     self._awaited = next(
                         queue.name for queue in queues if queue.odometry.newest == slowest), key
                 break
-            of_step, observed = _of_step(key, queues)
+            of_step, observed = _step_members(key, queues)
             if self._must_wait(key, queues, observed):
                 break
             yield from self._release(key, of_step, observed)
@@ -172,7 +172,7 @@ class Sequencer:
                 self._abandon()
                 return
             key = min(keys)
-            yield from self._release(key, *_of_step(key, queues))
+            yield from self._release(key, *_step_members(key, queues))
 
     def close(self) -> None:
         """Reject the scans that no odometry has reached: the input has ended."""
@@ -274,7 +274,7 @@ class Sequencer:
         of_step += [self._queues[name] for name in observed if name in self._queues]
         return any(
             self._is_live(queue)
-            and not self._has_passed(queue, queue.odometry.needed_for(key.due))
+            and not self._has_passed(queue, queue.odometry.needed_stamp(key.due))
             for queue in of_step)
 
     def _is_catching_up(self, queue: RobotQueue) -> bool:
@@ -282,7 +282,7 @@ class Sequencer:
         stamp = queue.next_event()
         if self._is_live(queue) or stamp is None:
             return False
-        if self._has_passed(queue, queue.odometry.needed_for(stamp)):
+        if self._has_passed(queue, queue.odometry.needed_stamp(stamp)):
             return False
         heard = self._heard.get(queue.name)
         return heard is not None and self._newest - heard <= self._stale_after
@@ -319,12 +319,13 @@ class Sequencer:
             motions.append(motion)
             if motion.impossible:
                 # Of the message: a scan that divides its increment is earlier.
-                end = queue.odometry.used_for(stamp)
+                end = queue.odometry.used_stamp(stamp)
                 self._statistics.reject(Rejection(name, end, RejectionReason.IMPOSSIBLE_MOTION))
         odometry = {name: queue.odometry.pose for name, queue in present.items()}
+        robot_scans = _merged_scans(RobotScan, taken)
         return Step(
-            stamp, tuple(arrivals), tuple(motions), _of_kind(Scan, taken), odometry,
-            tuple([self._without_absent(present, scan) for scan in _of_kind(RobotScan, taken)]))
+            stamp, tuple(arrivals), tuple(motions), _merged_scans(Scan, taken), odometry,
+            tuple([self._without_absent(present, scan) for scan in robot_scans]))
 
     def _without_absent(self, present: Container[str], scan: RobotScan) -> RobotScan:
         """Return a scan without observations of absent robots, which are rejected."""
@@ -351,13 +352,13 @@ class Sequencer:
         self._statistics.reject(Rejection(record.robot, record.stamp, reason, delay=delay))
 
 
-def _of_kind(kind: type[ScanT], taken: Iterable[Sequence[AnyScan]]) -> tuple[ScanT, ...]:
+def _merged_scans(kind: type[ScanT], taken: Iterable[Sequence[AnyScan]]) -> tuple[ScanT, ...]:
     """Return the scans of a kind among those of each robot at one stamp, one for each robot."""
     of_robots = ([scan for scan in scans if isinstance(scan, kind)] for scans in taken)
     return tuple([merged(scans) for scans in of_robots if scans])
 
 
-def _of_step(
+def _step_members(
     key: ReleaseKey, queues: Iterable[RobotQueue]
 ) -> tuple[list[RobotQueue], set[str]]:
     """Return the robots with an event at a key or observed there, and the names of the latter."""

@@ -77,7 +77,7 @@ def encoded(records: Sequence[Measurement]) -> bytes:
         np.array([o.id for o in of_landmarks], '<i4'),
         np.array([names.index(o.observed) for o in of_robots], '<u2'),
         np.array([o.z for o in observations], '<f8'), np.array([o.R for o in observations], '<f8')]
-    return zlib.compress(b''.join(_by_byte(column) for column in columns), 9)
+    return zlib.compress(b''.join(_bytes_by_significance(column) for column in columns), 9)
 
 
 def decoded(block: bytes, robot: str) -> list[Measurement]:
@@ -164,7 +164,7 @@ def _kind(record: Measurement) -> int:
     return _KIND_OF[type(record)]
 
 
-def _by_byte(column: NDArray[Any]) -> bytes:
+def _bytes_by_significance(column: NDArray[Any]) -> bytes:
     """Return the bytes of numbers, the first of each before the second of each."""
     flat = np.ascontiguousarray(column).ravel()
     return flat.view('u1').reshape(len(flat), flat.itemsize).T.tobytes()

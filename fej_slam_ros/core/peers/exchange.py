@@ -16,7 +16,7 @@ from collections import Counter
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
-from fej_slam_ros.core.peers.logs import BlockKey, is_of, Knowledge, LogName
+from fej_slam_ros.core.peers.logs import BlockKey, is_of_team, Knowledge, LogName
 from fej_slam_ros.core.peers.messages import (
     BlockMessage, echo_key, ECHO_MODULUS, Hello, hellos, MessageRejectedError, MessageRejection,
     read, write)
@@ -33,8 +33,8 @@ MIN_WAIT = NS // 5
 MAX_WAIT = 10 * NS
 #: Time [ns] by which a round trip may be longer than the measured ones before.
 ROUND_TRIP_MARGIN = NS // 20
-#: A longer round trip than before counts at once, as else every block would be sent again; of the
-#: difference to a shorter one, one part in this number.
+#: Divisor of the difference by which a shorter round trip than before counts. A longer one counts
+#: at once, or every block would be sent again.
 ROUND_TRIP_SMOOTHING = 4
 #: Unit of times in echoes [ns].
 MS = NS // 1000
@@ -251,7 +251,7 @@ class PeerExchange:
         if not self._is_wanted(block.log):
             raise MessageRejectedError(MessageRejection.UNKNOWN_ROBOT)
         self.logs.add(block)
-        # Whoever else has it need not send it at the same time.
+        # All robots in reach have received it, too: this one need not send it.
         self._sent_at[block.log, block.run, block.number] = now
 
     def _echoes(self, now: int) -> dict[int, int]:
@@ -263,7 +263,7 @@ class PeerExchange:
 
     def _is_wanted(self, name: LogName) -> bool:
         """Return whether a log is of the present team."""
-        return is_of(name, {self.logs.robot, *self.peers})
+        return is_of_team(name, {self.logs.robot, *self.peers})
 
     def _known(self) -> list[Knowledge]:
         """Return what is known of all logs; no more is wanted of those of former peers."""

@@ -5,8 +5,8 @@ Logs that grow at their end only, and what several robots know of them.
 
 A log has one author. It consists of numbered blocks of bytes that never change, so that
 (author, run, number) names a measurement for ever, and knowledge of a log is the number of its
-first blocks. Two robots that know n and m of them together know max(n, m): in whatever order, how
-often and through whom blocks arrive, nothing is counted twice.
+first blocks. Two robots that have n and m of them together have max(n, m): nothing is counted
+twice, however often, in any order and through any robots blocks arrive.
 
 The digest of the first n blocks is a chain: it contains the digest of the first n - 1 of them. Two
 logs with equal digests are equal; a block that does not follow the known digest is rejected.
@@ -36,7 +36,7 @@ class LogName(NamedTuple):
 BlockKey = tuple[LogName, int, int]
 
 
-def is_of(name: LogName, team: Collection[str]) -> bool:
+def is_of_team(name: LogName, team: Collection[str]) -> bool:
     """Return whether a log is of a team, about measurements or another robot of it."""
     return name.author in team and name.author != name.about and name.about in {'', *team}
 

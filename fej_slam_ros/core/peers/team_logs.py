@@ -29,7 +29,7 @@ CHECK_EVERY = 8
 
 
 class TeamParameters(NamedTuple):
-    """Parameters that are the same for all robots, as else the same logs give different maps."""
+    """Parameters that must be equal for all robots, or the same logs would give different maps."""
 
     shared_landmark_ids: bool = True
     keyframe_distance: float = 0.0  #: [m]
@@ -87,7 +87,7 @@ class TeamLogs:
         self.logs: dict[LogName, Log] = {}
         # The latest run of rendezvous information of which the first block has not arrived.
         self._next_information: dict[LogName, Log] = {}
-        # The last measurement of each log, which the next block may go on with.
+        # The last measurement of each log, which the next block may continue.
         self._last: dict[str, list[Measurement]] = {}
         self._noise: dict[str, NoiseSettings] = {}
         self._pending: list[Measurement] = []

@@ -3,8 +3,8 @@
 """
 The smoother of all measurements that a robot has, its own ones and those of others.
 
-It is the central smoother over the union of all logs: a function of what is known, and not of when
-or from whom it came. Robots that know the same have the same result.
+It is the central smoother over the union of all logs, and depends on their measurements only, not
+on when or from which robot they arrived: robots with the same logs have the same result.
 """
 
 from collections.abc import Iterable, Mapping

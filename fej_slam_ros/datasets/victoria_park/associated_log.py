@@ -141,7 +141,7 @@ def _tables(path: Path) -> tuple[Array, Array]:
 
 def _from_zstate(rows: Array) -> tuple[Array, Array]:
     """Convert rows of [value, 1 or 2, to-pose or ID, from-pose], one for each coordinate."""
-    steps, observations = _by_kind(rows, 1, 1, 2)
+    steps, observations = _divided(rows, 1, 2)
     return (
         np.hstack(joined_rows(steps[:, :1:-1], steps[:, 0], 3)),
         np.hstack(joined_rows(observations[:, :1:-1], observations[:, 0], 2)))
@@ -149,15 +149,16 @@ def _from_zstate(rows: Array) -> tuple[Array, Array]:
 
 def _from_clean_data(rows: Array) -> tuple[Array, Array]:
     """Convert rows of [1 or 0, a row of the steps or the observations, its covariance]."""
-    steps, observations = _by_kind(rows, 0, 1, 0)
+    steps, observations = _divided(rows, 0, 0)
     return steps[:, 1:6], observations[:, 1:5]
 
 
-def _by_kind(rows: Array, column: int, step: int, observation: int) -> tuple[Array, Array]:
+def _divided(rows: Array, column: int, observation: int) -> tuple[Array, Array]:
+    """Return the rows of steps and of observations, by the number in a column; a step has 1."""
     kind = rows[:, column]
-    if not np.isin(kind, (step, observation)).all():
-        raise UserError(f'column {column + 1} holds something other than {step} and {observation}')
-    return rows[kind == step], rows[kind == observation]
+    if not np.isin(kind, (1, observation)).all():
+        raise UserError(f'column {column + 1} holds something other than 1 and {observation}')
+    return rows[kind == 1], rows[kind == observation]
 
 
 def _check(steps: Array, observations: Array) -> None:

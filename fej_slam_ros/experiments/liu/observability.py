@@ -166,11 +166,11 @@ def _cells(result: Observability) -> tuple[str, ...]:
     return (
         str(result.robots), str(result.landmarks), 'yes' if result.robots_seen else 'no',
         result.filter, str(result.unknowns),
-        _by_m([w.rank for w in windows]), str(result.lemma_1),
-        _by_m([w.null_space for w in windows]), f'{max(w.sine for w in windows):.0e}')
+        _values_by_m([w.rank for w in windows]), str(result.lemma_1),
+        _values_by_m([w.null_space for w in windows]), f'{max(w.sine for w in windows):.0e}')
 
 
-def _by_m(values: Sequence[int]) -> str:
+def _values_by_m(values: Sequence[int]) -> str:
     """Return the common value of all m, or each value with its m."""
     if len(set(values)) == 1:
         return str(values[0])

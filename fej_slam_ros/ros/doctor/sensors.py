@@ -66,7 +66,7 @@ def check(
     robots = [robot.name for robot in settings.estimation.robots]
     collector = RecordCollector(settings.estimation, needs_ids=False)
     inputs = Inputs(collector, settings.node)
-    any_post = _of_any_post(detector, bags.topics(path, names))
+    any_post = _any_post_settings(detector, bags.topics(path, names))
     lasers = DetectorSession(any_post)
 
     def first_messages() -> Iterator[RawMessage]:
@@ -82,7 +82,7 @@ def check(
         reversed_fits = _fits(any_post.robots, records, posts)
     landmark_fits = _fits(robots, records, [r for r in records if isinstance(r, Scan)])
     for robot in robots:
-        yield from _of_scans(
+        yield from _scan_findings(
             robot, fits.get(robot), reversed_fits.get(robot), detector.reversed_beams)
         fit = landmark_fits[robot]
         if fit is not None:
@@ -92,7 +92,7 @@ def check(
             yield from _conditions(robot, lasers, collector.robots[robot].sensor_frame is None)
 
 
-def _of_any_post(detector: DetectorSettings, topics: Container[str]) -> DetectorSettings:
+def _any_post_settings(detector: DetectorSettings, topics: Container[str]) -> DetectorSettings:
     """Return settings by which posts of any radius are found, also those that seem to move."""
     with_scans = [
         of_robot for of_robot in zip(detector.robots, detector.of_robots)
@@ -133,7 +133,7 @@ def _posts(
     return posts
 
 
-def _of_scans(
+def _scan_findings(
     robot: str, fit: SensorFit | None, other: SensorFit | None, reversed_beams: bool
 ) -> Iterator[Finding]:
     """Yield what explains the disagreement of scans, given that with beams in the other order."""

@@ -99,7 +99,7 @@ def load(
     """
     with _refusing_malformed(path):
         stored = _stored(path, ESTIMATOR_KEY)
-        settings = _of_run(path, stored, settings, _deciding(settings.estimation, prior))
+        settings = _run_settings(path, stored, settings, _deciding(settings.estimation, prior))
         changes = [ParameterChange(**change) for change in stored['changes']]
         estimator = core.restore(
             stored[ESTIMATOR_KEY], _present(settings.estimation, changes), Estimator)
@@ -112,7 +112,7 @@ def load_smoother(path: Path, settings: RunSettings) -> tuple[RunSettings, TeamS
     """Return the settings of a saved run, its smoother and its inputs, as of `load`."""
     with _refusing_malformed(path):
         stored = _stored(path, SMOOTHER_KEY)
-        settings = _of_run(path, stored, settings, _deciding_smoother(settings.estimation))
+        settings = _run_settings(path, stored, settings, _deciding_smoother(settings.estimation))
         team = core.restore(stored[SMOOTHER_KEY], settings.estimation, TeamSmoother)
         inputs = Inputs(team, settings.node)
         inputs.restore(stored['inputs'])
@@ -229,7 +229,7 @@ def _verified(path: Path) -> bytes:
     return content
 
 
-def _of_run(path: Path, stored: Values, settings: RunSettings, given: Values) -> RunSettings:
+def _run_settings(path: Path, stored: Values, settings: RunSettings, given: Values) -> RunSettings:
     """
     Return the settings of a saved run for those that are given, whose deciding values are `given`.
 

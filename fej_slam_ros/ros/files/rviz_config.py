@@ -38,10 +38,10 @@ def _displays(displays: Sequence[Any], robots: Sequence[str]) -> Iterator[Any]:
         display for display in displays if _topic(display).startswith(f'/{TEMPLATE_ROBOT}/')]
     yield from (display for display in displays if display not in of_robot)
     for index, name in enumerate(robots):
-        yield from (_for_robot(display, name, robot_colour(index)) for display in of_robot)
+        yield from (_robot_display(display, name, robot_colour(index)) for display in of_robot)
 
 
-def _for_robot(template: Any, name: str, colour: str) -> Any:
+def _robot_display(template: Any, name: str, colour: str) -> Any:
     display = deepcopy(template)
     display['Name'] = template['Name'].replace(TEMPLATE_ROBOT, name)
     display['Topic']['Value'] = _topic(template).replace(TEMPLATE_ROBOT, name)

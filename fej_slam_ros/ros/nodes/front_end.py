@@ -158,7 +158,7 @@ class FrontEndNode(ParameterNode):
         missing = '' if now else NO_CLOCK
         incompatible = self._qos.incompatible()
         counts = [
-            (robot, missing or self._problem_of(robot, incompatible) or warning
+            (robot, missing or self._problem(robot, incompatible) or warning
              or self._silence(robot, values), values)
             for robot, warning, values in self._front_end.counts()]
         topic, message = report(self.get_fully_qualified_name().lstrip('/'), counts, now)
@@ -172,7 +172,7 @@ class FrontEndNode(ParameterNode):
                 severity = LogSeverity.INFO if missing else LogSeverity.WARN
                 log_writer.write(self.get_logger(), [LogLine(severity, f'{robot}: {warning}')])
 
-    def _problem_of(self, robot: str, incompatible: Iterable[IncompatibleQos]) -> str:
+    def _problem(self, robot: str, incompatible: Iterable[IncompatibleQos]) -> str:
         """Return what keeps messages on a robot's topics from arriving, '' if nothing does."""
         topics = {
             self.resolve_topic_name(topic): type_name

@@ -65,7 +65,7 @@ class LiveParameters:
         return Parameter(name, wanted, value)
 
     def _apply(self, changes: Sequence[Parameter]) -> SetParametersResult:
-        changes = self._of_run(changes)
+        changes = self._changeable(changes)
         if changes and not self._is_matching:
             try:
                 self._change({change.name: _plain(change.value) for change in changes})
@@ -76,10 +76,10 @@ class LiveParameters:
 
     def _match_others(self, changes: Sequence[Parameter]) -> None:
         """Set the parameters that follow others, such as the noise of robots that of the team."""
-        if not self._is_matching and self._of_run(changes):
+        if not self._is_matching and self._changeable(changes):
             self.match()
 
-    def _of_run(self, changes: Sequence[Parameter]) -> list[Parameter]:
+    def _changeable(self, changes: Sequence[Parameter]) -> list[Parameter]:
         """Return the changes of parameters that may change, without those of topics."""
         # rclpy declares one parameter after another for each topic.
         changes = [change for change in changes if not change.name.startswith(QOS_OVERRIDES)]

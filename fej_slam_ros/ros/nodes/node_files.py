@@ -77,7 +77,7 @@ class NodeFiles:
     def open_exchange(
         self, path: Path, robot: str
     ) -> AbstractContextManager[LiveExchangeFile]:
-        """Open the file of the exchange of a robot, or let a run after a reset go on with it."""
+        """Open the file of the exchange of a robot; a run after a reset continues it."""
         if self._exchange is None:
             file = ExchangeFile(path, robot)
             if file.blocks:

@@ -23,7 +23,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
     values = with_current_names(values, warn)
     robots = team_names(values)
     known = known_parameters(robots)
-    given, of_node = _by_owner(given_values(values, known, warn, robots), robots)
+    given, of_node = _divided_by_owner(given_values(values, known, warn, robots), robots)
     node = NodeSettings(**of_node)
     settings = RunSettings(_estimation_settings(robots, given, bool(node.peers)), node)
     _check_ids(settings.estimation.robots)
@@ -36,7 +36,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
 def estimation_of(values: Mapping[str, object]) -> Settings:
     """Return the settings of which the values are the deciding ones, as of `deciding`."""
     robots = robot_names(values['robots'])
-    given, _ = _by_owner(checked_values(values, known_parameters(robots)), robots)
+    given, _ = _divided_by_owner(checked_values(values, known_parameters(robots)), robots)
     return _estimation_settings(robots, given, has_peers=False)
 
 
@@ -55,7 +55,7 @@ def team_names(values: Mapping[str, object]) -> tuple[str, ...]:
     return robots + others
 
 
-def _by_owner(
+def _divided_by_owner(
     values: Mapping[str, Any], robots: Sequence[str]
 ) -> tuple[GivenValues, dict[str, Any]]:
     """Return the values of estimation by name of the team and of each robot, and of the node."""

@@ -70,7 +70,7 @@ class LiveOutputs(EstimatorOutputs):
             self._newest_odometry[record.robot] = record, message
 
     def _topics_of(self, robot: str) -> list[str]:
-        return [*(f'{robot}/{kind}' for kind in PREDICTED_TYPES), *self._tf_of(robot)]
+        return [*(f'{robot}/{kind}' for kind in PREDICTED_TYPES), *self._tf_topics(robot)]
 
     def _messages(
         self, predicted: PoseEstimate, record: Odometry, message: Message, is_wanted: IsWanted

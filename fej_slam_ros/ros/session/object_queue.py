@@ -28,7 +28,7 @@ class ObjectScan(NamedTuple):
 
 
 class Origin(NamedTuple):
-    """Where a scan comes from."""
+    """Robot and sensor of a scan."""
 
     namespace: str  #: the robot of its topic, '' if the topic is that of the team
     frame: str  #: of the sensor

@@ -102,7 +102,7 @@ class Outputs(ABC, Generic[ConsumerT]):
         return {**self.team_types} | {
             f'{name}/{kind}': type_name
             for name in self._consumer.robots for kind, type_name in self.robot_types.items()
-        } | {topic: TF_TYPE for name in self._consumer.robots for topic in self._tf_of(name)}
+        } | {topic: TF_TYPE for name in self._consumer.robots for topic in self._tf_topics(name)}
 
     def of_pose(self, estimate: PoseEstimate, kind: str = 'pose') -> Publication:
         """Return the message of a pose, on a topic of its robot by the last part of its name."""
@@ -159,7 +159,7 @@ class Outputs(ABC, Generic[ConsumerT]):
         """Yield the transforms of estimates and the odometry poses at their stamps."""
         by_topic: dict[str, list[PoseEstimate]] = {}
         for estimate in estimates:
-            for topic in self._tf_of(estimate.robot):
+            for topic in self._tf_topics(estimate.robot):
                 by_topic.setdefault(topic, []).append(self._frames.renamed(estimate))
         if not by_topic:
             return
@@ -168,7 +168,7 @@ class Outputs(ABC, Generic[ConsumerT]):
             if is_wanted(topic):
                 yield topic, outgoing.transforms(of_topic, odometry, frames, post_date)
 
-    def _tf_of(self, robot: str) -> list[str]:
+    def _tf_topics(self, robot: str) -> list[str]:
         """Return the topics of the transform of a robot."""
         if not self._publishes_tf:
             return []

@@ -28,7 +28,7 @@ from fej_slam_ros.ros.session.outputs import Outputs, Publication
 from fej_slam_ros.ros.session.run_log import RunLog
 
 
-#: Opens the files of a run; None if that is impossible and the run goes on without them.
+#: Opens the files of a run; None if that is impossible and the run continues without them.
 FilesOpener = Callable[..., RunFiles | LiveFiles | None]
 
 
@@ -125,7 +125,7 @@ class Session(ABC):
 
     def relocalization(self, robot: str) -> PosePrior:
         """
-        Return the unknown pose that makes a robot go on in a frame of its own.
+        Return the unknown pose that makes a robot restart in a frame of its own.
 
         Its stamp is that of the newest odometry, so that the robot restarts at the same step
         however fast the messages are processed. A UsageError says why the robot cannot restart.
