@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-A join of two maps is a constrained least-squares fit, without information about the global pose.
+Maps join if what they share fits and determines the heading, and join consistently.
 
 Changes that lose observability fail the first test: columns at J C f of the group's landmarks, and
 first estimates transformed instead of estimates. In the invariant filter, no transport of errors,
-or one from first estimates, fails the first and the second test.
+or one from first estimates, fails it, and the first test of test_joined_state.
 """
 
 from dataclasses import replace
@@ -13,22 +13,18 @@ from dataclasses import replace
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
-from scipy.optimize import least_squares
 
-from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
-from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
-from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.linearization import FirstEstimates
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.joining.frame_fit import fit
-from fej_slam_ros.core.joining.map_joining import joined_state, MapJoiner
+from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.records import NS, Odometry, PosePrior, RendezvousKey, Scan, TrueLandmarks
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import SensorSettings
-from helpers.core import estimate, frames, pose_difference, quarter_turn, turn, unknown_place
+from helpers.core import estimate, frames, pose_difference, turn, unknown_place
+from helpers.joining import two_maps
 
 #: The second robot's odometry begins at this step.
 LATE = 40
@@ -36,40 +32,6 @@ ANCHOR_SIGMA = (0.1, 0.2, 0.05)
 TEAM = ('r1', 'r2')
 #: Filters to which the global pose stays unobservable, but for that which needs ground truth.
 CONSISTENT = ['fej', 'invariant']
-
-
-def two_maps(seed=1, noise=0.05, shared=4, g=(3.0, -2.0, 0.7)):
-    """Return the states of a team and of a robot that share landmarks, and the frame's pose g."""
-    rng, g = np.random.default_rng(seed), np.array(g)
-    points = rng.uniform(-6.0, 6.0, (shared + 2, 2))
-    team, group = JointState(), JointState()
-    for state, name, seen, origin in (
-        (team, 'r1', range(shared + 1), np.zeros(3)),
-        (group, 'r2', [*range(shared), shared + 1], g),
-    ):
-        A = rng.normal(0.0, noise, (3, 3))
-        robot = state.insert_robot(name, 5, rng.normal(0.0, noise, 3), A @ A.T)
-        for number in seen:
-            point = turn(origin[2]).T @ (points[number] - origin[:2])
-            B = rng.normal(0.0, noise, (2, 2)) + noise * np.eye(2)
-            state.augment(
-                ('', number), robot, point + rng.multivariate_normal(np.zeros(2), B @ B.T),
-                rng.normal(0.0, 1.0, (2, 3)), B @ B.T)
-    # First estimates of their own, as after some updates.
-    team.x_first = team.x_hat + rng.normal(0.0, noise, len(team.x_hat))
-    group.x_first = group.x_hat + rng.normal(0.0, noise, len(group.x_hat))
-    return team, group, g
-
-
-def add_rendezvous_points(team, group, count):
-    """Add positions of the robot of the group at some stamps to both states."""
-    rng = np.random.default_rng(9)
-    for stamp in range(count):
-        key = RendezvousKey('r1', 'r2', stamp)
-        for state, name in ((team, 'r1'), (group, 'r2')):
-            state.augment_rendezvous_point(
-                key, state.robots[name], rng.uniform(-6.0, 6.0, 2), rng.normal(size=(2, 3)),
-                0.01 * np.eye(2))
 
 
 def late_robot(seed, *, landmarks=40, loops=1, known=False, **settings):
@@ -88,15 +50,11 @@ def late_robot(seed, *, landmarks=40, loops=1, known=False, **settings):
     return estimator, steps, true
 
 
-def linearized_at(kind, state):
-    """Return the values at which a filter linearises a motion of the whole map."""
-    return state.x_first if kind == 'fej' else state.x_hat
-
-
 def without_anchor_uncertainty(kind, state):
     """Return the covariance less that by the anchor's start, indefinite if this was reduced."""
     P = state.marginal(state.variables())
-    return P - unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
+    at = state.x_first if kind == 'fej' else state.x_hat
+    return P - unknown_place(state, at, ANCHOR_SIGMA)
 
 
 @pytest.mark.parametrize('kind', CONSISTENT)
@@ -112,134 +70,12 @@ def test_a_join_during_a_run_adds_no_information_about_the_global_pose(seed, kin
     assert left.min() > 0.0
 
 
-def with_uncertain_global_pose(state, kind):
-    """Return a state whose global pose alone is less certain."""
-    variables = state.variables()
-    P = state.marginal(variables) + unknown_place(state, linearized_at(kind, state), ANCHOR_SIGMA)
-    covariance = Covariance()
-    slots = covariance.insert(P).split([v.slot.size for v in variables])
-    return JointState(
-        [replace(v, slot=slot) for v, slot in zip(variables, slots)],
-        state.x_hat, state.x_first, covariance)
-
-
-@pytest.mark.parametrize(('kind', 'policy'), [('fej', FirstEstimates), ('invariant', Invariant)])
-@pytest.mark.parametrize('noise', [0.05, 0.3])
-@pytest.mark.parametrize('points', [0, 3])
-def test_a_join_is_independent_of_the_uncertainty_of_the_global_pose(
-        kind, policy, noise, points):
-    team, group, _ = two_maps(noise=noise)
-    add_rendezvous_points(team, group, points)
-    g = fit(team, group).pose
-
-    certain = joined_state(team, group, g, policy())
-    state = joined_state(with_uncertain_global_pose(team, kind), group, g, policy())
-
-    assert np.abs(certain.x_hat[:5] - team.x_hat[:5]).max() > 0.01
-    # Rounding, by the condition of the shared variables.
-    assert_allclose(state.x_hat, certain.x_hat, atol=1e-10)
-    variables = certain.variables()
-    assert_allclose(
-        state.marginal(state.variables()),
-        with_uncertain_global_pose(certain, kind).marginal(variables), atol=1e-10)
-
-
 def test_the_standard_filter_gains_spurious_information_about_the_global_pose():
     estimator, _, _ = late_robot(1, anchor_sigma=ANCHOR_SIGMA, filter='standard')
 
     left = np.linalg.eigvalsh(without_anchor_uncertainty('standard', estimator.groups.team.state))
 
     assert left.min() < -1.0
-
-
-def test_the_fit_is_weighted_least_squares():
-    team, group, _ = two_maps()
-    keys = [key for key in team.landmarks if key in group.landmarks]
-    ours, theirs = ([state.landmarks[key] for key in keys] for state in (team, group))
-    z, f = (np.array([state.estimate(v) for v in variables])
-            for state, variables in ((team, ours), (group, theirs)))
-    found = fit(team, group)
-    C = np.kron(np.eye(len(keys)), turn(found.pose[2]))
-    L = np.linalg.cholesky(team.marginal(ours) + C @ group.marginal(theirs) @ C.T)
-
-    def residual(g):
-        return np.linalg.solve(L, (z - g[:2] - f @ turn(g[2]).T).ravel())
-
-    best = least_squares(residual, found.pose + 0.1, xtol=1e-15, ftol=1e-15, gtol=1e-15)
-
-    # Least squares stops where the cost no longer falls, at the root of the rounding.
-    assert_allclose(found.pose, best.x, atol=1e-7)
-    assert found.chi2 == pytest.approx(2.0 * best.cost, rel=1e-9)
-    assert found.dof == 2 * len(keys) - 3
-    assert_allclose(found.P, np.linalg.inv(best.jac.T @ best.jac), rtol=1e-5)
-
-
-def test_joining_conditions_on_shared_variables_without_a_prior_of_the_frame():
-    team, group, _ = two_maps()
-    g = fit(team, group).pose
-    # The same by an update of [x_T, x_L, g] with exact conditions and next to no prior of g.
-    n, k = len(team.x_hat), len(group.x_hat)
-    P = np.zeros((n + k + 3, n + k + 3))
-    P[:n, :n], P[n:-3, n:-3] = (s.marginal(s.variables()) for s in (team, group))
-    P[-3:, -3:] = 100.0 * np.eye(3)
-    H, r = [], []
-    for key in team.landmarks.keys() & group.landmarks.keys():
-        a, b = (s.landmarks[key].slot.indices for s in (team, group))
-        row = np.zeros((2, n + k + 3))
-        row[:, a], row[:, n + b], row[:, -3:-1] = np.eye(2), -turn(g[2]), -np.eye(2)
-        row[:, -1] = -quarter_turn(team.x_hat[a] - g[:2])
-        H.append(row)
-        r.append(g[:2] + turn(g[2]) @ group.x_hat[b] - team.x_hat[a])
-    H, r = np.vstack(H), np.concatenate(r)
-    K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
-    x, P = K @ r, P - K @ H @ P
-
-    state = joined_state(team, group, g, Standard())
-
-    # A prior variance of 100 against 1e-3 of the maps, squared.
-    assert_allclose(state.x_hat[:n], team.x_hat + x[:n], atol=1e-6)
-    assert_allclose(state.marginal(team.variables()), P[:n, :n], atol=1e-6)
-    new = state.robots['r2']
-    D = np.zeros((3, n + k + 3))
-    D[:2, n:n + 2], D[2, n + 2] = turn(g[2]), 1.0
-    D[:2, -3:-1], D[:, -1] = np.eye(2), [*quarter_turn(turn(g[2]) @ group.x_hat[:2]), 1.0]
-    assert_allclose(state.marginal([new]), D @ P @ D.T, atol=1e-6)
-    cross = state.marginal([new, *team.variables()])[:new.slot.size, new.slot.size:]
-    assert_allclose(cross, (D @ P)[:, :n], atol=1e-6)
-    moved, pose = g + x[-3:], group.x_hat[:3] + x[n:n + 3]
-    expected = [*(moved[:2] + turn(moved[2]) @ pose[:2]), moved[2] + pose[2]]
-    assert_allclose(pose_difference(state.estimate(new), expected), np.zeros(3), atol=1e-6)
-
-
-def test_first_estimates_of_the_team_stay_and_new_ones_are_transformed():
-    team, group, _ = two_maps()
-    g = fit(team, group).pose
-
-    state = joined_state(team, group, g, FirstEstimates())
-
-    assert_array_equal(state.x_first[:len(team.x_first)], team.x_first)
-    lone = state.landmarks['', 5]
-    expected = g[:2] + turn(g[2]) @ group.estimate(group.landmarks['', 5])
-    assert_allclose(state.first_estimate(lone), expected, atol=1e-12)
-    assert lone.owner == 'r2'
-    assert state.robots['r2'].stamp == 5
-
-
-def test_evidence_on_the_landmarks_of_the_team_is_kept():
-    team, group, _ = two_maps()
-    landmark = team.landmarks['', 0]
-    landmark.last_accepted, landmark.moved_evidence = 77, MovedLandmarkEvidence()
-
-    state = joined_state(team, group, fit(team, group).pose, FirstEstimates())
-
-    kept = state.landmarks['', 0]
-    assert (kept.last_accepted, kept.moved_evidence) == (77, landmark.moved_evidence)
-
-
-def test_exact_maps_give_the_exact_pose():
-    team, group, g = two_maps(noise=1e-9)
-
-    assert_allclose(fit(team, group).pose, g, atol=1e-7)
 
 
 @pytest.mark.parametrize(('shared', 'least', 'why'), [
