@@ -125,7 +125,7 @@ def test_a_robot_that_returns_elsewhere_relocalizes_by_landmarks(seed):
 
 
 def switched_on(record, stamp):
-    """Let the odometry of a robot begin anew at a stamp."""
+    """Let the odometry of a robot restart at a stamp."""
     if not isinstance(record, Odometry) or record.robot != 'r2' or record.stamp < stamp:
         return record
     return replace(record, pose=record.pose + np.array([7.0, -3.0, 0.0]))

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The filter, which forgets, and the smoother, which does not, say the same of one run."""
+"""The filter and the smoother agree on the same run."""
 
 from collections import deque
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""After an unknown motion a robot is in a new frame, until its landmarks tell where it is."""
+"""After an unknown motion a robot is in a new frame, until its landmarks locate it."""
 
 from dataclasses import replace
 

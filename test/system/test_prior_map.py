@@ -114,7 +114,7 @@ def test_cross_covariances_of_the_prior_map_are_kept():
     estimator = run([odometry('r1', 0), sees('r1', 0, ORIGIN, [1])], prior)
 
     state = estimator.groups.team.state
-    # The one that is seen tells of the other: observations have 0.01, the two differ by 2e-4 m^2.
+    # The observed landmark corrects the other: observations have 0.01, the two differ by 2e-4 m^2.
     assert np.diag(state.marginal([state.landmarks['', 2]])).max() < 0.011
 
 

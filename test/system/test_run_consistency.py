@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""EstimatorDiagnostics tell a filter that is given too little noise from one that is right."""
+"""Diagnostics distinguish a filter that is given too little noise from a consistent one."""
 
 from itertools import takewhile
 

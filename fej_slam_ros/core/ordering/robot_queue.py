@@ -143,28 +143,26 @@ class RobotQueue:
         return [self._scaled(scan) for scan in scans]
 
     def take_surplus_scans(
-        self, most: int = MAX_QUEUED_SCANS, observations: int = MAX_QUEUED_OBSERVATIONS,
-        size: int = 0, rate: float = 0.0,
+        self, most: int = MAX_QUEUED_SCANS, size: int = 0, rate: float = 0.0
     ) -> list[AnyScan]:
         """
-        Remove and return the oldest waiting scans beyond a number.
+        Remove and return the oldest waiting scans beyond the limits.
 
         Parameters
         ----------
         most : maximum number of waiting scans that stay
-        observations : maximum number of observations in these, unless a single scan has more
         size : minimum number of observations of the scans that are taken and counted
         rate : rate of the scans by their stamps [Hz] up to which none is taken
 
         """
-        is_small = len(self._scans) <= most and self._observations <= observations
+        is_small = len(self._scans) <= most and self._observations <= MAX_QUEUED_OBSERVATIONS
         if is_small or self._rate_of_scans() < rate:
             return []
         scans = [scan for scan in self._scans if len(scan.observations) >= size]
         surplus, rest = scans[:max(len(scans) - most, 0)], self._observations
         rest -= _size(surplus)
         for scan in scans[len(surplus):-1]:
-            if rest <= observations:
+            if rest <= MAX_QUEUED_OBSERVATIONS:
                 break
             surplus.append(scan)
             rest -= len(scan.observations)

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Records in, poses out: who is in the map from when on, and that arrival decides nothing."""
+"""Records in, poses out: the frame of each robot over time, in any order of arrival."""
 
 from dataclasses import replace
 from itertools import cycle, permutations

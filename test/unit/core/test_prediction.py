@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A predicted pose is what the filter will say at the newest odometry if nothing is observed."""
+"""A predicted pose is that of the filter at the newest odometry if nothing is observed."""
 
 from dataclasses import replace
 

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Beams meet discs and walls where geometry says."""
+"""The ranges of beams are the distances of discs and walls."""
 
 import numpy as np
 import pytest

@@ -7,6 +7,7 @@ from math import cos, pi, sin, sqrt
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.ordering import robot_queue
 from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.records import merged, RobotScan, Scan
 from fej_slam_ros.core.rejections import RejectionReason
@@ -219,7 +220,7 @@ def test_observations_have_the_noise_scale_of_their_kind():
 
 
 def crowd(ms, count, first=0):
-    """Return a scan of so many landmarks."""
+    """Return a scan of `count` landmarks."""
     return scan('r1', ms, [(first + k, (1.0, 0.0)) for k in range(count)])
 
 
@@ -235,18 +236,20 @@ def test_scans_of_one_stamp_have_a_limited_number_of_observations_together():
         None, RejectionReason.TOO_LARGE, RejectionReason.DUPLICATE, None, None]
 
 
-def test_the_oldest_scans_beyond_the_limit_of_observations_are_taken():
+def test_the_oldest_scans_beyond_the_limit_of_observations_are_taken(monkeypatch):
+    monkeypatch.setattr(robot_queue, 'MAX_QUEUED_OBSERVATIONS', 10)
     queue = queue_of(*(crowd(ms, 4) for ms in (0, 1, 2, 3)))
 
-    assert [surplus.stamp for surplus in queue.take_surplus_scans(observations=10)] == [0, MS]
-    assert queue.take_surplus_scans(observations=10) == []
+    assert [surplus.stamp for surplus in queue.take_surplus_scans()] == [0, MS]
+    assert queue.take_surplus_scans() == []
     assert queue.accept(crowd(0, 4)) is None
 
 
-def test_a_single_scan_may_be_above_the_limit_of_observations():
+def test_a_single_scan_may_be_above_the_limit_of_observations(monkeypatch):
+    monkeypatch.setattr(robot_queue, 'MAX_QUEUED_OBSERVATIONS', 10)
     queue = queue_of(crowd(0, 4), crowd(1, 12))
 
-    assert [surplus.stamp for surplus in queue.take_surplus_scans(observations=10)] == [0]
+    assert [surplus.stamp for surplus in queue.take_surplus_scans()] == [0]
     assert queue.waiting() == 1
 
 

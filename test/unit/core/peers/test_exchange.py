@@ -371,7 +371,7 @@ def test_logs_of_a_former_peer_are_given_once_to_robots_that_lack_them():
     radio = Radio(robots, np.random.default_rng(1), loss=0.2)
     radio.run(20.0)
     del robots['z']
-    # q begins afresh, and p goes on from what it had, both without z among their peers.
+    # q is restarted and p continues with its logs, both without z among their peers.
     stored = robots['p'].logs.take_new_blocks()
     robots['p'] = Robot('p', team_settings(['p', 'q']), run=2, information_first=0)
     for block in stored:

@@ -160,7 +160,7 @@ def raises(error):
 
 
 def test_landmarks_far_from_the_last_solution_start_anew(monkeypatch):
-    """Nothing but the pose is known of a far landmark, so its first observation tells nothing."""
+    """A new landmark depends on the pose alone, so its first observation has no information."""
     monkeypatch.setattr(newest_pose, 'MAX_FILTER_LANDMARKS', 2)
     smoother, true, points = grown(seed=8, steps=30, noise=1e-3)
     smoother.solve()

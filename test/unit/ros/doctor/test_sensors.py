@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`doctor` names sensors that are not where, or as, what they see says."""
+"""`doctor` names sensors whose observations contradict their stated pose or beams."""
 
 from dataclasses import replace
 
