@@ -7,14 +7,13 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Generic, NamedTuple
 
-from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_faults import reasons_in_words
-from fej_slam_ros.ros.session.input_health import are_repeated, REPEATED_POSES, TopicFlow
+from fej_slam_ros.ros.session.input_health import TopicFlow
 from fej_slam_ros.ros.session.inputs import Inputs, MEASUREMENT_TOPICS
-from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity, RepeatableLines
+from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import ConsumerT
+from fej_slam_ros.ros.session.pose_prior_log import PosePriorLog
 
 #: Maximum number of lines that wait to be written; a run without a node writes none.
 MAX_LINES = 1000
@@ -22,21 +21,6 @@ MAX_LINES = 1000
 #: in calls of `remind`: every 5 s for a minute, since the node calls it once a second.
 REMIND_EVERY = 5
 MAX_REMINDERS = 12
-
-#: Reasons for which a pose prior is rejected when it is used.
-PRIOR_REASONS = {
-    RejectionReason.ALREADY_LOCATED:
-        'the robot has joined map at the same step, by what it observes',
-    RejectionReason.DOES_NOT_FIT: 'it contradicts what the robot shares with the team',
-    RejectionReason.NOT_JOINED: 'it is not known where the robot was in map'}
-#: Time [ns] from the stamp of a pose to the step that uses it, above which the robot has moved on.
-MAX_PRIOR_AGE = NS // 2
-#: What a pose that is no prior needs, by the reason of its rejection.
-PRIOR_CURES = {
-    RejectionReason.WRONG_FRAME:
-        'wrong_frame, give it in {frame!r}, which is to be the fixed frame of RViz',
-    RejectionReason.BAD_COVARIANCE:
-        'bad_covariance, give the variances of x, y and yaw, all of them above zero'}
 
 
 class Missing(NamedTuple):
@@ -70,10 +54,7 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._paused_at: int | None = None  # time of the newest odometry [ns]
         self._has_jumped = False
         self._rejected_topics: set[str] = set()  # of which all messages are rejected
-        self._repeatable = RepeatableLines()
-        # Steps [ns] that have used the latest poses of `set_pose`, and robots with too many.
-        self._priors: dict[str, deque[int]] = {}
-        self._warned_of_priors: set[str] = set()
+        self._pose_priors = PosePriorLog(consumer, inputs)
         self._missing: Sequence[str] = ()
         self._reminders = 0
 
@@ -90,7 +71,7 @@ class RunLog(ABC, Generic[ConsumerT]):
     def take(self) -> Iterator[LogLine]:
         """Yield and remove the new lines."""
         self._note_first_messages()
-        self._note_rejected_priors()
+        self._lines.extend(self._pose_priors.rejected())
         while self._lines:
             yield self._lines.popleft()
 
@@ -179,50 +160,9 @@ class RunLog(ABC, Generic[ConsumerT]):
             self.add(
                 LogSeverity.INFO, f'messages on {self.topic_name(topic)} are accepted again')
 
-    def _note_rejected_priors(self) -> None:
-        rejected = self._inputs.health.rejected_priors
-        while rejected:
-            robot, reason = rejected.popleft()
-            cure = PRIOR_CURES.get(reason, reason.value).format(
-                frame=self._inputs.frames.published(MAP))
-            self._lines.extend(self._repeatable.lines(
-                LogSeverity.WARN, f'set_pose of {robot} rejected: {cure}'))
-
     def _note_priors(self, robot: str, until: int) -> None:
         """Add the lines of the poses that were given to a robot up to a stamp [ns]."""
-        waiting = self._inputs.health.pose_priors.pop(robot)
-        later = [stamp for stamp in waiting if stamp > until]
-        if later:
-            self._inputs.health.pose_priors[robot] = later
-        for given in [stamp for stamp in waiting if stamp <= until]:
-            reasons = [
-                PRIOR_REASONS[rejected.reason]
-                for rejected in self._consumer.statistics.rejections
-                if (rejected.robot, rejected.stamp) == (robot, given)
-                and rejected.reason in PRIOR_REASONS]
-            cause = ''
-            if reasons:
-                line = LogSeverity.WARN, f'set_pose of {robot} rejected: {reasons[0]}'
-            elif given and until - given > MAX_PRIOR_AGE:
-                cause = f'late set_pose of {robot}'
-                line = LogSeverity.WARN, (
-                    f'set_pose of {robot} accepted {(until - given) / NS:.1f} s after its stamp:'
-                    ' the robot is placed where it was then')
-            else:
-                line = LogSeverity.INFO, f'set_pose of {robot} accepted'
-            self._lines.extend(self._repeatable.lines(*line, cause))
-            if not reasons:
-                self._note_repeated_priors(robot, until)
-
-    def _note_repeated_priors(self, robot: str, stamp: int) -> None:
-        latest = self._priors.setdefault(robot, deque(maxlen=REPEATED_POSES))
-        latest.append(stamp)
-        if are_repeated([*latest]) and robot not in self._warned_of_priors:
-            self._warned_of_priors.add(robot)
-            self.add(LogSeverity.WARN, (
-                f'set_pose of {robot} has come {REPEATED_POSES} times in'
-                f' {(latest[-1] - latest[0]) / NS:.1f} s: each restarts the robot, so that poses'
-                ' of GPS or of another localisation make it less accurate'))
+        self._lines.extend(self._pose_priors.due(robot, until))
 
     def _note_first_messages(self) -> None:
         first = self._inputs.health.first_messages
