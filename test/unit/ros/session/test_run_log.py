@@ -4,16 +4,10 @@
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
-from fej_slam_ros.core.records import PosePrior
-from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.run_log import MAX_REMINDERS, REMIND_EVERY
 from helpers.records import MS, odometry, scan
-from helpers.ros import log_texts, meeting, raw, raw_record, run_settings
+from helpers.ros import log_texts, meeting, raw_record, run_settings
 
 
 def test_a_clock_that_goes_back_leaves_no_robot_that_sends_stale():
@@ -109,26 +103,3 @@ def test_reminders_end_and_begin_again_with_other_input():
     run.receive(raw_record(odometry('r1', 0)))
     run.log.remind({'r1': ''})
     assert log_texts(run) == ['waiting for a landmark observed by the anchor r1']
-
-
-def test_a_message_that_is_no_pose_prior_is_rejected_with_its_reason():
-    run = EstimatorSession(run_settings(), None)
-
-    run.receive(raw_record(PosePrior('r2', 0, np.full(3, np.nan), np.eye(3))))
-
-    assert log_texts(run) == [f'set_pose of r2 rejected: {RejectionReason.NOT_FINITE.value}']
-
-
-@pytest.mark.parametrize(('prior', 'frame', 'cure'), [
-    (np.eye(3), 'r2/odom',
-     "wrong_frame, give it in 'map', which is to be the fixed frame of RViz"),
-    (np.zeros((3, 3)), 'map',
-     'bad_covariance, give the variances of x, y and yaw, all of them above zero')])
-def test_the_log_tells_how_to_give_a_pose_that_is_rejected(prior, frame, cure):
-    run = EstimatorSession(run_settings(), None)
-    _, message = outgoing.input_message(PosePrior('r2', 0, np.zeros(3), prior), {})
-    message.header.frame_id = frame
-
-    run.receive(raw('r2/set_pose', message, 0))
-
-    assert log_texts(run) == [f'set_pose of r2 rejected: {cure}']
