@@ -21,9 +21,10 @@ from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
-from fej_slam_ros.ros.session.input_health import InputHealth, LargeScan
+from fej_slam_ros.ros.session.input_health import InputHealth
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, HeldOdometry, StartCheck
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
+from fej_slam_ros.ros.session.topic_flow import LargeScan
 
 ODOMETRY = 'nav_msgs/msg/Odometry'
 CLOUD = 'sensor_msgs/msg/PointCloud2'

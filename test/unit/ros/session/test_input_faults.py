@@ -10,7 +10,8 @@ import pytest
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.session.input_faults import faults, RobotInput, TopicPublishers
-from fej_slam_ros.ros.session.input_health import InputHealth, LargeScan
+from fej_slam_ros.ros.session.input_health import InputHealth
+from fej_slam_ros.ros.session.topic_flow import LargeScan
 from helpers.records import MS, scan, team
 
 WARN, ERROR, STALE = 1, 2, 3
