@@ -10,15 +10,12 @@ use a record that is older than the newest of its kind by more than ``max_delay`
 robot if the stamps of other robots continue, a second pass if none do.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
-from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, Record, TruePose
+from fej_slam_ros.core.ordering.consumer import Consumer
+from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
 #: Minimum number of odometry records in order, and the minimum time they span [ns], that
 #: indicate a second pass; stray stamps satisfy neither.
@@ -36,31 +33,6 @@ TimedRecord = Odometry | AnyScan | TruePose | PosePrior
 Source = tuple[str, type]
 #: A record and its time of reception [ns].
 Held = tuple[TimedRecord, int | None]
-
-
-class Consumer(Protocol):
-    """An estimator or smoother, or what collects their records: it counts rejections."""
-
-    statistics: InputStatistics
-    truth: RecordedTruth
-
-    @property
-    def settings(self) -> CommonSettings:
-        """Return the settings of the team."""
-
-    @property
-    def robots(self) -> Mapping[str, RobotSettings]:
-        """Return the present team by name."""
-
-    @property
-    def needs_ids(self) -> bool:
-        """Return whether observations without ID are rejected."""
-
-    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
-        """Insert a record; return the reason if it is rejected, None if it is accepted."""
-
-    def used(self, robot: str) -> int:
-        """Return the number of messages of a robot that were used."""
 
 
 @dataclass(frozen=True, slots=True)

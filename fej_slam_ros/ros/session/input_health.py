@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.ordering.time_jump import Consumer
+from fej_slam_ros.core.ordering.consumer import Consumer
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.topic_flow import RATE_WINDOW, TopicFlow

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from fej_slam_ros.core.ordering.time_jump import Consumer, TimeJumpDetector
+from fej_slam_ros.core.ordering.consumer import Consumer
+from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
 from fej_slam_ros.core.records import AnyScan, NS, Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings

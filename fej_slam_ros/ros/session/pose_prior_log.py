@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Iterator
 
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.ordering.time_jump import Consumer
+from fej_slam_ros.core.ordering.consumer import Consumer
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_health import are_repeated, REPEATED_POSES
