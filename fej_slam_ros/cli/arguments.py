@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Command-line arguments that several verbs share."""
 
-from argparse import ArgumentParser
-from collections.abc import Callable, Mapping
+from argparse import Action, ArgumentParser, Namespace, SUPPRESS
+from collections.abc import Callable, Mapping, Sequence
 from importlib.util import find_spec
+import logging
 import math
 import os
 from pathlib import Path
@@ -14,6 +15,22 @@ import textwrap
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
+
+
+class OldFlag(Action):
+    """Old name of an option that sets `dest` to False: it does so with a warning."""
+
+    def __init__(self, option_strings: Sequence[str], dest: str, present: str) -> None:
+        super().__init__(option_strings, dest, nargs=0, default=True, help=SUPPRESS)
+        self._present = present
+
+    def __call__(
+        self, parser: ArgumentParser, namespace: Namespace, values: object,
+        option_string: str | None = None,
+    ) -> None:
+        logging.getLogger(__name__).warning(
+            'option %s is deprecated: write %s', option_string, self._present)
+        setattr(namespace, self.dest, False)
 
 
 def add_bag_and_parameters(parser: ArgumentParser) -> None:

@@ -16,7 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from fej_slam_ros.cli.arguments import number_option
+from fej_slam_ros.cli.arguments import number_option, OldFlag
 from fej_slam_ros.cli.converters import mrclam_tables
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
@@ -61,8 +61,11 @@ def add_arguments(parser: ArgumentParser) -> None:
         ' --thin leaves persist (default: as measured, or'
         f' {default.correlation_factor:g} without ground truth)')
     parser.add_argument(
-        '--no-robot-observations', '--no-robot-sightings', dest='robot_observations',
-        action='store_false', help='leave out robot-to-robot observations')
+        '--no-robot-observations', dest='robot_observations', action='store_false',
+        help='leave out robot-to-robot observations')
+    parser.add_argument(
+        '--no-robot-sightings', dest='robot_observations', action=OldFlag,
+        present='--no-robot-observations')
     parser.add_argument(
         '--known-starts', action='store_true',
         help="give all robots' initial poses from the ground truth, not only the anchor's")

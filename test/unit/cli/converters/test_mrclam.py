@@ -52,6 +52,20 @@ def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mr
     assert said.endswith(f'wrote {bag} and {bag}.yaml\n')
 
 
+@pytest.mark.parametrize(('option', 'warnings'), [
+    ('--no-robot-observations', []),
+    ('--no-robot-sightings', [
+        'option --no-robot-sightings is deprecated: write --no-robot-observations'])])
+def test_an_old_name_of_an_option_is_accepted_with_a_warning(
+        convert_mrclam, bag, caplog, option, warnings):
+    status, *_ = convert_mrclam(
+        '--output', bag, option, Robot1_Measurement=[(101, 7, 2, 0.5), (105, 14, 2, 0.5)],
+        Robot2_Odometry=[(100, 0, 0), (110, 0, 0)])
+
+    assert (status, 'r1/robots' in bags.topics(bag)) == (0, False)
+    assert caplog.messages == warnings
+
+
 @pytest.mark.parametrize(('first', 'in_frame'), [(100, True), (399, True), (401, False)])
 def test_a_frame_other_than_that_of_the_truth_is_said(convert_mrclam, bag, first, in_frame):
     _, said, _ = convert_mrclam(
