@@ -72,7 +72,9 @@ def run(arguments: Namespace) -> int:
     """Export the bag and print the numbers of records."""
     nodes = node_names(arguments, 'estimator', 'smoother')
     settings = parameters.load(arguments.params, nodes)
-    values = parameters.load_values(arguments.params, nodes, parameters.no_warning)
+    values = parameters.with_current_names(
+        parameters.load_values(arguments.params, nodes, parameters.no_warning),
+        parameters.no_warning)
     output, beside = arguments.output, Path(f'{arguments.output}.yaml')
     with claimed(output, arguments.force), claimed(beside, arguments.force):
         exported = arguments.export(

@@ -12,7 +12,7 @@ from fej_slam_ros.ros.parameters.schema import (
     QOS_OVERRIDES, QOS_POLICIES, SMOOTHER, Value)
 from fej_slam_ros.ros.parameters.values import (
     given_values, no_warning, PARAMETERS_OF_ROS, RENAMED_PARAMETERS, RESERVED_NAMES, robot_names,
-    STRICT_PARAMETERS, Warn, warn_once)
+    STRICT_PARAMETERS, Warn, warn_once, with_current_names)
 from fej_slam_ros.ros.parameters.yaml_files import (
     dump, dump_values, load, load_parsed, load_values)
 
@@ -24,4 +24,4 @@ __all__ = [
     'check_peer_files', 'checked_changes', 'deciding', 'declared_parameters', 'dump',
     'dump_values', 'estimation_of', 'given_values', 'known_parameters', 'load', 'load_parsed',
     'load_values', 'no_warning', 'parse', 'rejection', 'robot_names',
-    'warn_once', 'with_node_values', 'with_values']
+    'warn_once', 'with_current_names', 'with_node_values', 'with_values']

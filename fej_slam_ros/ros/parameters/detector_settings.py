@@ -107,13 +107,16 @@ def load_detector(path: Path) -> DetectorSettings:
 
 def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:
     """Return the settings for the detector of some robots in a file for other nodes too."""
+    def warn_with_path(text: str) -> None:
+        warn_once(f'{path}: {text}')
+
     try:
-        values = {} if path is None else load_values(path, ['detector'])
+        values = {} if path is None else load_values(path, ['detector'], warn_with_path)
     except UsageError:
         values = {}
     known = known_parameters(robots)
     given = {name: value for name, value in values.items() if name in known}
-    return parse_detector({**given, 'robots': [*robots]})
+    return parse_detector({**given, 'robots': [*robots]}, warn_with_path)
 
 
 def detector_values(settings: DetectorSettings) -> dict[str, Value]:

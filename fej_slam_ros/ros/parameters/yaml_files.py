@@ -19,7 +19,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import RunSettings
 from fej_slam_ros.ros.parameters.parsing import parse
 from fej_slam_ros.ros.parameters.schema import as_parameters
-from fej_slam_ros.ros.parameters.values import Warn, warn_once, with_current_names
+from fej_slam_ros.ros.parameters.values import Warn, warn_once
 from fej_slam_ros.ros.parameters.yaml_bounds import (
     MAX_PARAMETER_FILE, read_bounded, YamlBoundsError)
 
@@ -63,7 +63,7 @@ def load_values(
     for name, value in values.items():
         if _is_mixed(value):
             warn(_mixed_list(name, value))
-    return with_current_names(values, warn)
+    return values
 
 
 def check_for_ros(path: Path) -> None:

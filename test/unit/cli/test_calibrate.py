@@ -191,6 +191,17 @@ def test_what_is_wrong_in_the_file_is_written_once(calibrate, places, caplog):
         f"{places[1]}: unknown parameter 'max_delai' is ignored: did you mean 'max_delay'?"]
 
 
+def test_an_old_name_in_the_file_is_written_as_the_present_one(calibrate, places):
+    write_parameters(places[1], robots=['r1', 'r2'], second_look=True)
+
+    status, *_ = calibrate(RECORDS)
+
+    assert status == 0
+    written = places[2].read_text()
+    assert 'inflate_rejected_scans: true' in written
+    assert 'second_look' not in written
+
+
 def test_too_little_data_is_reported(calibrate, places):
     begin = [r for r in RECORDS if isinstance(r, TrueLandmarks) or r.stamp < 13 * 10**9]
 

@@ -301,6 +301,17 @@ def test_a_robot_that_is_not_in_the_bag_is_reported(doctor, tmp_path):
     assert has_finding(found, 'unknown_robot', 'r2', 'add r2')
 
 
+def test_what_is_wrong_in_the_file_is_written_once(doctor, tmp_path, caplog):
+    params = write_parameters(
+        tmp_path / 'p.yaml', robots=['r1', 'r2'], second_look=True, anchor_pose=[0, 0.0, 0])
+
+    doctor(BAGS / C, '--params', params)
+
+    mixed, old = caplog.messages
+    assert mixed.startswith(f"{params}: parameter 'anchor_pose' mixes integers and floats")
+    assert old.startswith(f"{params}: parameter 'second_look' is deprecated")
+
+
 def test_a_bag_without_robots_is_reported_in_one_sentence(doctor, tmp_path):
     status, found, printed = doctor(write_bag(tmp_path / 'empty', []))
 

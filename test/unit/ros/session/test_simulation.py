@@ -191,6 +191,14 @@ def test_the_section_of_the_simulator_is_read_from_a_file(tmp_path):
     assert simulation.load(path) == simulation.parse(SMALL)
 
 
+def test_an_old_name_of_a_parameter_of_the_estimator_is_reported_as_it_is_written(
+        tmp_path, caplog):
+    path = write_parameters(tmp_path / 'p.yaml', **SMALL, second_look=True)
+
+    assert simulation.load(path) == simulation.parse(SMALL)
+    assert caplog.messages == [f"{path}: unknown parameter 'second_look' is ignored"]
+
+
 def test_a_mistake_in_a_file_is_explained_with_its_path(tmp_path):
     path = write_parameters(tmp_path / 'p.yaml', 'simulator', sed=1, strict_parameters=True)
 
