@@ -165,7 +165,7 @@ REASONS = {
         ' robot outside `map`',
     RejectionReason.NOT_JOINED:
         'the observed robot, in another frame, has not moved since its last observation'
-        ' (not in the smoother)',
+        ' (estimator); `set_pose` for a robot outside `map` (smoother)',
     RejectionReason.LEFT: 'was waiting when its robot left the team',
 }
 
