@@ -46,6 +46,17 @@ def test_a_changeable_parameter_is_set_and_an_integer_is_a_number(domain, name, 
     assert get(node, name) == read
 
 
+def test_only_a_value_that_differs_is_logged_as_a_change(domain, capfd):
+    domain.estimate(**TEAM)
+
+    assert set_parameter(domain, 'gate_probability', 0.999).successful
+    assert set_parameter(domain, 'gate_probability', 0.99).successful
+
+    changes = [line for line in capfd.readouterr().err.splitlines() if ' changed from ' in line]
+    assert [line.partition(']: ')[2] for line in changes] == [
+        "parameter 'gate_probability' changed from 0.999 to 0.99"]
+
+
 @pytest.mark.parametrize(('name', 'value', 'reason'), [
     ('filter', 'standard', "'filter' is read when the node starts: set it in the parameter file"),
     ('r2.id', 7, "'r2.id' is read when the node starts"),

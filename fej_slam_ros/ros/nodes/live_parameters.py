@@ -88,9 +88,10 @@ class LiveParameters:
 
     def _log(self, changes: Sequence[Parameter]) -> None:
         for change in changes:
-            self._node.get_logger().info(
-                f'parameter {change.name!r} changed from {self._value(change.name)!r} to'
-                f' {_plain(change.value)!r}')
+            before, after = self._value(change.name), _plain(change.value)
+            if after != before:
+                self._node.get_logger().info(
+                    f'parameter {change.name!r} changed from {before!r} to {after!r}')
 
     def _value(self, name: str) -> Value:
         value: Value = _plain(self._node.get_parameter(name).value)
