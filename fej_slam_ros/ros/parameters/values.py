@@ -34,6 +34,9 @@ MAX_WARNINGS = 20
 #: Names of parameters of other nodes, with which files are shared, are less like known ones:
 #: ``range_sigma_growth`` of the adapter is 0.76 like ``range_sigma`` of the detector.
 LEAST_SIMILARITY = 0.8
+#: Minimum length of the beginning of a known name that stands for it: ``p`` or ``kd`` of another
+#: node's controller do not.
+MIN_BEGINNING = 3
 #: Maximum length of a name or value in a message.
 MAX_SHOWN = 500
 
@@ -127,7 +130,9 @@ def _meant(name: str, known: Iterable[str]) -> list[str]:
     # Names of robots are left out, since two names with the same long one are always alike.
     by_field = {other.rpartition('.')[2]: other for other in sorted(
         known, key=lambda other: other.rpartition('.')[0] == owner)}
-    longer = sorted((other for other in by_field if field and other.startswith(field)), key=len)
+    longer = sorted(
+        (other for other in by_field if len(field) >= MIN_BEGINNING and other.startswith(field)),
+        key=len)
     alike = get_close_matches(field, by_field, n=1, cutoff=LEAST_SIMILARITY)
     return [by_field[found] for found in (*longer, *alike)]
 

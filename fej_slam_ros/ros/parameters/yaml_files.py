@@ -127,7 +127,9 @@ def _read_yaml(path: Path) -> object:
         raise UsageError(f'{error.strerror}: give the path of a ROS parameter file') from error
     except MarkedYAMLError as error:
         line = error.problem_mark.line + 1
-        raise UsageError(f'correct line {line}, which is not YAML: {error.problem}') from error
+        # The values of a key that is given twice are those read so far: lists are still empty.
+        problem = error.problem.partition(' with value ')[0]
+        raise UsageError(f'correct line {line}, which is not YAML: {problem}') from error
     except (YAMLError, ValueError) as error:
         raise UsageError('not a YAML text: give the path of a ROS parameter file') from error
 

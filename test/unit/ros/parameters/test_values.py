@@ -80,10 +80,13 @@ def test_an_unknown_parameter_is_a_warning_or_if_strict_an_error(unknown, value,
 def test_no_name_is_proposed_for_an_unknown_parameter_that_is_like_none():
     warnings = []
 
-    parse({'robots': ['r1'], 'camera_topic': '/image', 'r7.usb_port': 3}, warnings.append)
+    parse(
+        {'robots': ['r1'], 'camera_topic': '/image', 'pid.p': 3.0, 'r7.usb_port': 3},
+        warnings.append)
 
     assert warnings == [
         "unknown parameter 'camera_topic' is ignored",
+        "unknown parameter 'pid.p' is ignored: 'pid' is not in robots",
         "unknown parameter 'r7.usb_port' is ignored: 'r7' is not in robots"]
 
 

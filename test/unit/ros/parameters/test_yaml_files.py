@@ -131,6 +131,14 @@ def test_a_mistake_in_a_file_is_explained_with_its_path(file, text, sentence):
         load(path)
 
 
+def test_a_parameter_that_is_given_twice_is_named_without_its_values(file):
+    path = file('/**:\n  ros__parameters:\n    robots: [r1]\n    robots: [r2]\n')
+    with pytest.raises(UsageError) as caught:
+        load(path)
+    assert str(caught.value) == (
+        f'{path}: correct line 4, which is not YAML: found duplicate key "robots"')
+
+
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
     path = tmp_path / 'absent.yaml'
     sentence = f'{path}: No such file or directory: give the path of a ROS parameter file'
