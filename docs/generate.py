@@ -107,12 +107,14 @@ REASONS = {
         ' is below 1e-12 m²',
     RejectionReason.WRONG_FRAME:
         'the frame of a scan is none of the base frame, the child frame of the odometry and'
-        ' `<robot>.sensor_frame`, and no static transforms lead to it from the base frame',
+        ' `<robot>.sensor_frame`, and no static transforms lead to it from the base frame; that of'
+        ' `set_pose` is not `map_frame`',
     RejectionReason.TILTED:
         'roll and pitch together exceed 0.2 rad, of the robot or of the sensor on it',
     RejectionReason.BAD_QUATERNION: 'the squared norm differs from 1 by more than 0.001',
     RejectionReason.BAD_COVARIANCE:
-        'not positive semi-definite; of an observation, not positive definite',
+        'not positive semi-definite; of an observation, of `set_pose`, and of odometry in the'
+        ' smoother, not positive definite',
     RejectionReason.BAD_CLOUD: '`x` or `y` is missing or no float, or the sizes do not fit',
     RejectionReason.TOO_LARGE:
         'a scan, or all scans of a robot at one stamp, has more points than `max_observations`, or'
