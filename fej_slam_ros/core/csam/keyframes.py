@@ -63,11 +63,14 @@ class Keyframes:
             observations = tuple(
                 o for o in scan.observations if self._has_moved(scan.robot, o.observed)
                 or self._has_moved(o.observed, scan.robot))
-            for o in observations:
-                self._kept[scan.robot][o.observed] = self._now[scan.robot]
-                self._kept[o.observed][scan.robot] = self._now[o.observed]
             if observations:
                 kept.append(replace(scan, observations=observations))
+        # Of two robots that observe each other at one stamp, neither observation is the last one
+        # of the other: the order of the robots would decide.
+        for scan in kept:
+            for o in scan.observations:
+                self._kept[scan.robot][o.observed] = self._now[scan.robot]
+                self._kept[o.observed][scan.robot] = self._now[o.observed]
         return kept
 
     def _is_kept(

@@ -85,6 +85,19 @@ def test_an_observation_of_a_robot_is_kept_if_either_has_moved():
     assert not kept(moved(0.0), moved(0.9))
 
 
+def test_of_robots_that_observe_each_other_at_one_stamp_both_observations_are_kept():
+    scans = [
+        robot_scan('r1', 0, [('r2', (3.0, 1.0))]), robot_scan('r2', 0, [('r1', (2.0, 2.0))])]
+    for order in (scans, scans[::-1]):
+        keyframes = Keyframes(1.0)
+        keyframes.choose([('r1', None, ()), ('r2', None, ())])
+
+        assert [scan.robot for scan in keyframes.choose_robot_scans(order)] == [
+            scan.robot for scan in order]
+        keyframes.choose([('r1', moved(0.5), ()), ('r2', moved(0.5), ())])
+        assert keyframes.choose_robot_scans(order) == []
+
+
 def test_at_distance_0_all_poses_are_kept():
     every, poses = smoothed(RECORDS, 0.0, solved=False)
 
