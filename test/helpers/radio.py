@@ -47,7 +47,9 @@ class Robot:
     """One robot: its logs and its exchange; `settings` is that of the team."""
 
     def __init__(self, name, settings, run=1, **options):
-        self.settings = replace(settings, anchor=name)
+        # Its own name is the first, as in the node.
+        own_first = tuple(sorted(settings.robots, key=lambda robot: robot.name != name))
+        self.settings = replace(settings, anchor=name, robots=own_first)
         noise = next(robot for robot in settings.robots if robot.name == name)
         peers = frozenset(robot.name for robot in settings.robots) - {name}
         self.logs = TeamLogs(name, run, noise)

@@ -153,6 +153,37 @@ def test_after_random_meetings_all_robots_have_the_central_result():
                 information_traces(expected), rel=1e-6)
 
 
+def with_another_landmark(measurement, liar):
+    """Return a measurement, of a liar with another landmark in place of landmark 9."""
+    if not isinstance(measurement, Scan):
+        return measurement
+    ninth = 10 if measurement.robot == liar else 9
+    return replace(measurement, observations=tuple(
+        replace(o, id=min(o.id, 9)) for o in measurement.observations
+        if o.id < 9 or o.id == ninth))
+
+
+@pytest.mark.parametrize('distance', [0.0, 1.0])
+def test_robots_that_know_the_same_have_the_same_map(distance):
+    """Also where it is open whose landmark is the right one, and of two observations at once."""
+    names, rng = ('r1', 'r2'), np.random.default_rng(1)
+    world = make_world(WorldSettings(
+        'circles', (20.0, 15.0), 20, names, landmarks=11, loops=1, rate=1.0), rng)
+    records = measure(world, replace(SENSORS, range=100.0), rng)
+    measurements = [with_another_landmark(m, 'r2') for m in records if is_measurement(m)]
+    settings = replace(team_settings(names), keyframe_distance=distance)
+    robots = {name: Robot(name, settings) for name in names}
+    radio = Radio(robots, rng)
+    drive(robots, measurements, measurements[-1].stamp)
+    meet_in_a_chain(robots, radio)
+
+    first, second = (robots[name].union() for name in names)
+
+    assert digests(robots['r1']) == digests(robots['r2'])
+    assert largest_difference(first, second, 'r1') < 1e-9
+    assert len(first.solution.outliers['r2']) == len(second.solution.outliers['r2'])
+
+
 def displaced(measurement, liar):
     """Return a measurement, of a liar with every other landmark 2 m farther ahead."""
     if measurement.robot != liar or not isinstance(measurement, Scan):

@@ -113,6 +113,13 @@ class JointMap:
             self, problem=replace(self.problem, fixed_poses=(pose,)), values=Values(
                 transform_poses(back, self.values.poses), transform(back, self.values.points)))
 
+    def led_by(self, robot: str) -> 'JointMap':
+        """Return the map with one of its robots as the first, in the frame of its pose 0."""
+        if robot == self.robots[0]:
+            return self
+        others = (other for other in self.robots if other != robot)
+        return replace(self.in_frame_of(self.first_poses[robot]), robots=(robot, *others))
+
     def rendezvous_information(
         self, poses: Indices, information: Information | None = None
     ) -> RendezvousInformation:

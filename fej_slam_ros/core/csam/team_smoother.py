@@ -140,7 +140,7 @@ class TeamSmoother(TeamInput):
                 self.trajectories[name].local_map('' if settings.shared_landmark_ids else name)
                 for name in anchor_first
                 if name in self.trajectories and not self.trajectories[name].is_empty()),
-            tuple(sorted(self._measurements, key=lambda m: m.stamp)),
+            tuple(sorted(self._measurements, key=lambda m: (m.stamp, m.key))),
             settings.anchor, np.array(settings.anchor_pose),
             np.diag(np.square(settings.anchor_sigma)),
             JoinRules(

@@ -32,7 +32,8 @@ from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 class SmoothingTask:
     """Input of `solve`."""
 
-    maps: tuple[LocalMap, ...]  #: local maps, the anchor's first; their values are the start
+    #: local maps, the anchor's first, with pose 0 as the origin; their values are the start
+    maps: tuple[LocalMap, ...]
     #: robot-to-robot observations in the order of time
     measurements: tuple[RendezvousMeasurement, ...]
     #: anchor, anchor_pose, P_anchor: name of the robot whose pose 0 is known, '' for none, this
@@ -97,7 +98,13 @@ class TeamMap:
 
 
 def solve(task: SmoothingTask) -> TeamMap:
-    """Return the joined maps of a team with all covariances."""
+    """
+    Return the joined maps of a team with all covariances.
+
+    They are joined in the order of the names of the robots, so that robots that solve for the same
+    measurements have the same map, each in its own frame.
+
+    """
     unsolved: dict[str, str] = {}
     outliers: dict[str, Sequence[Outlier]] = {}
     own_maps: dict[str, JointMap] = {}
@@ -109,14 +116,15 @@ def solve(task: SmoothingTask) -> TeamMap:
             unsolved[local.robot] = str(error)
     measurements = [m for m in task.measurements if {m.observer, m.observed} <= own_maps.keys()]
     try:
-        joined = join_maps([*own_maps.values()], measurements, task.rules)
+        joined = join_maps(
+            [own_maps[robot] for robot in sorted(own_maps)], measurements, task.rules)
     except NoMinimumError as error:
         return TeamMap(unsolved=unsolved | dict.fromkeys(own_maps, str(error)))
     keys = {local.robot: local.landmarks for local in task.maps}
     maps = []
     for robot, left_out in joined.outliers.items():
         outliers[robot] = [*outliers[robot], *left_out]
-    for joint in joined.maps:
+    for joint in _led_by_first(joined.maps, [local.robot for local in task.maps]):
         try:
             maps.append(_in_map_frame(_smoothed(joint, keys), task))
         except NoMinimumError as error:  # noqa: PERF203
@@ -124,14 +132,28 @@ def solve(task: SmoothingTask) -> TeamMap:
     return TeamMap(tuple(maps), tuple(joined.failures), unsolved, outliers)
 
 
+def _led_by_first(maps: Sequence[JointMap], names: Sequence[str]) -> list[JointMap]:
+    """Return maps in the order of the names of robots, each in the frame of its first one."""
+    by_robot = {robot: joint for joint in maps for robot in joint.robots}
+    led: dict[JointMap, JointMap] = {}
+    for robot in filter(by_robot.__contains__, names):
+        joint = by_robot[robot]
+        if joint not in led:
+            led[joint] = joint.led_by(robot)
+    return [*led.values()]
+
+
 def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> SmoothedMap:
     """Return a map with its covariances, in the frame of its first robot."""
     values, information = joint.values, joint.information()
     P_poses, P = information.marginals()
     index = joint.landmark_index()
-    firsts = [joint.first_poses[robot] for robot in joint.robots]
+    firsts = sorted(joint.first_poses.values())
+    ends = dict(zip(firsts, [*firsts[1:], len(values.poses)]))
     trajectories = {}
-    for robot, first, end in zip(joint.robots, firsts, [*firsts[1:], len(values.poses)]):
+    for robot in joint.robots:
+        first = joint.first_poses[robot]
+        end = ends[first]
         landmarks = np.array([index[key] for key in keys[robot]], np.intp)
         trajectories[robot] = SmoothedTrajectory(
             values.poses[first:end], P_poses[first:end], landmarks,
