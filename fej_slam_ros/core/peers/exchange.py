@@ -324,10 +324,14 @@ class PeerExchange:
     def _has_information(self, peer: PeerState, name: str) -> bool:
         """Return whether both robots have the rendezvous information of each other."""
         sent = self.logs.logs.get(LogName(self.logs.robot, name))
+        received = self.logs.logs.get(LogName(name, self.logs.robot))
         _, known = peer.known.get(LogName(self.logs.robot, name), (0, None))
+        _, written = peer.known.get(LogName(name, self.logs.robot), (0, None))
         return (
             sent is not None and known is not None and next(sent.missing(known), None) is None
-            and LogName(name, self.logs.robot) in self.logs.logs)
+            # Hellos of its author say how many blocks the information has.
+            and received is not None and written is not None
+            and len(received.blocks) >= written.count)
 
     def _priority(self, block: BlockKey) -> tuple[bool, bool, LogName, int, int]:
         """Return what sorts blocks: rendezvous information, own measurements, the oldest first."""

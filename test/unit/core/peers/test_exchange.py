@@ -186,28 +186,32 @@ def test_information_about_the_rendezvous_is_sent_before_measurements():
     assert len(known(robots['q'], 'p')) == 200
 
 
-def test_measurements_wait_also_for_the_first_block_of_the_information():
+@pytest.mark.parametrize('author', ['p', 'q'])
+@pytest.mark.parametrize('number', [0, 1])
+def test_measurements_wait_for_every_block_of_the_information(author, number):
     is_lost = [True]
 
     def damaged(data):
         message = read(data)
-        is_first = isinstance(message, BlockMessage) and (
-            message.block.log.about and message.block.number == 0)
-        return data[:-1] if is_first and is_lost[0] else data
+        is_of_author = isinstance(message, BlockMessage) and message.block.log.about and (
+            message.block.log.author, message.block.number) == (author, number)
+        return data[:-1] if is_of_author and is_lost[0] else data
 
     robots = team('p', 'q', information_first=5 * NS)
     drive(robots['p'])
     for name, other in ('pq', 'qp'):
         robots[name].logs.publish(LogName(name, other), [b'A', b'm'])
     radio = Radio(robots, np.random.default_rng(1), damage=damaged)
+    other = robots['q' if author == 'p' else 'p']
+    log = LogName(author, other.logs.robot)
 
     radio.run(2.0)
-    assert robots['q'].logs.logs[LogName('p', 'q')].knowledge().ahead == {1}
+    assert [k for k in (0, 1) if other.logs.logs[log].contains(k)] == [1 - number]
     assert known(robots['q'], 'p') == []
     is_lost[0] = False
     radio.run(2.0)
 
-    assert robots['q'].logs.logs[LogName('p', 'q')].blocks == [b'A', b'm']
+    assert other.logs.logs[log].blocks == [b'A', b'm']
     assert len(known(robots['q'], 'p')) == 200
 
 
