@@ -117,8 +117,11 @@ class JointMap:
         """Return the map with one of its robots as the first, in the frame of its pose 0."""
         if robot == self.robots[0]:
             return self
-        others = (other for other in self.robots if other != robot)
-        return replace(self.in_frame_of(self.first_poses[robot]), robots=(robot, *others))
+        first = self.first_poses[robot]
+        led = self.in_frame_of(first)
+        # It is the origin exactly, not but for rounding.
+        led.values.poses[first] = 0.0
+        return replace(led, robots=(robot, *(other for other in self.robots if other != robot)))
 
     def rendezvous_information(
         self, poses: Indices, information: Information | None = None

@@ -5,17 +5,18 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.gauss_newton import ConvergenceError
+from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import rows_of
-from helpers.core import turn, wrapped
+from helpers.core import central_differences, turn, wrapped
 from helpers.csam import in_another_frame, joined_maps, Met, true_base_node
 
 CHAIN = [(a, a + 1, k) for a in (0, 1) for k in range(3, 8)]
@@ -93,6 +94,27 @@ def test_a_change_of_frame_changes_the_base_node_only():
     transformed = [x + c * frame[0] - s * frame[1], y + s * frame[0] + c * frame[1]]
     assert_allclose(transformed, first[:2], atol=1e-8)
     assert wrapped(phi + frame[2] - first[2]) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize('seed', [1, 2, 3])
+def test_a_map_can_be_led_by_any_of_its_robots(seed):
+    joint = joined(Met(seed, CHAIN, 3))
+
+    led = joint.led_by('r2')
+
+    first = joint.first_poses['r2']
+    assert led.robots == ('r2', 'r1', 'r3')
+    assert led.chi_square == joint.chi_square
+    assert_array_equal(led.values.poses[first], np.zeros(3))
+    for robot, base_node in base_nodes(led).items():
+        poses = [first, joint.first_poses[robot]]
+        x = joint.values.poses[poses]
+        H = central_differences(lambda x: between(x[:3], x[3:]), x.ravel())
+        assert_allclose(base_node.pose, between(*x), atol=1e-12)
+        # Pose 0 of r1, where it is one of the two, is exact in the frame of r1.
+        kept, P = [pose for pose in poses if pose != joint.first_poses['r1']], np.zeros((6, 6))
+        P[:3 * len(kept), :3 * len(kept)] = joint.information().joint(poses=kept)
+        assert_allclose(base_node.P, H @ P @ H.T, rtol=1e-6, atol=1e-9)
 
 
 def test_merged_landmarks_keep_one_key_of_each_robot():
