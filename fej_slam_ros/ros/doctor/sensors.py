@@ -43,7 +43,8 @@ MIN_SHIFT, MIN_TURN, MIN_DELAY = 0.03, math.radians(1.0), 0.02
 ANY_RADIUS, MIN_POSTS, ALLOWED_SHARE = (0.01, 1.0), 100, 0.2
 #: Conditions of scans that corrupt or prevent landmarks, and that may do so, whatever the
 #: parameters are; a frame may do so if no parameter names it.
-CORRUPTING_CONDITIONS, DOUBTFUL_CONDITIONS = {'scans_rejected', 'scan_duration'}, {'scan_stamp'}
+CORRUPTING_CONDITIONS = {'scans_rejected', 'scan_duration'}
+DOUBTFUL_CONDITIONS = {'scan_times', 'scan_stamp'}
 FRAME_CONDITION = 'laser_frame'
 #: How the observations of each robot agree with its odometry, None if there are too few.
 Fits = Mapping[str, SensorFit | None]

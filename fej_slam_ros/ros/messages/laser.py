@@ -49,7 +49,8 @@ CURES = {
         'angle_min + angle_increment * (number of beams - 1) must be angle_max, in radians, with a'
         ' negative angle_increment if the laser turns clockwise',
     ScanFault.BAD_TIMES:
-        f'give time_increment in seconds, at least 0 and at most {MAX_DURATION:g} s for all beams',
+        f'give time_increment in seconds, at least 0 and at most {MAX_DURATION:g} s for all beams,'
+        ' or set scan_duration of the detector',
     ScanFault.BAD_LIMITS: 'give range_min and a larger range_max, in metres',
     ScanFault.NO_INTENSITIES:
         'switch intensities on in the driver, or set intensity_threshold to 0 to find posts',
@@ -69,8 +70,15 @@ class ScanFaultError(Exception):
         self.fault = fault
 
 
-def laser_scan(message: LaserScanMessage) -> tuple[int, LaserScan]:
-    """Return the stamp [ns] and the content of a message."""
+def laser_scan(
+    message: LaserScanMessage, duration: float = 0.0
+) -> tuple[int, LaserScan]:
+    """
+    Return the stamp [ns] and the content of a message.
+
+    A duration of all beams [s] above 0 replaces that by the time between beams.
+
+    """
     if message.header.stamp.nanosec >= NS or message.header.stamp.sec > MAX_SECONDS:
         raise ScanFaultError(ScanFault.BAD_STAMP)
     ranges, intensities = message.ranges, message.intensities
@@ -84,7 +92,8 @@ def laser_scan(message: LaserScanMessage) -> tuple[int, LaserScan]:
     if not (abs(step) > MIN_INCREMENT and abs(begin) < 1e3
             and abs(span) < 2.0 * math.pi + tolerance and abs(begin + span - end) < tolerance):
         raise ScanFaultError(ScanFault.BAD_ANGLES)
-    if not 0.0 <= message.time_increment * len(ranges) <= MAX_DURATION:
+    time_increment = duration / len(ranges) if duration > 0.0 else float(message.time_increment)
+    if not 0.0 <= time_increment * len(ranges) <= MAX_DURATION:
         raise ScanFaultError(ScanFault.BAD_TIMES)
     if not 0.0 <= message.range_min < message.range_max:
         raise ScanFaultError(ScanFault.BAD_LIMITS)
@@ -92,5 +101,5 @@ def laser_scan(message: LaserScanMessage) -> tuple[int, LaserScan]:
     with np.errstate(invalid='ignore'):
         return from_time(message.header.stamp), LaserScan(
             np.asarray(ranges, np.float64), float(begin), float(step),
-            float(message.time_increment), float(message.range_min), float(message.range_max),
+            time_increment, float(message.range_min), float(message.range_max),
             np.asarray(intensities, np.float64) if len(intensities) == len(ranges) else None)

@@ -14,6 +14,7 @@ from fej_slam_ros.detection.detector import ScanDetector
 from fej_slam_ros.detection.posts import PostDetector
 from fej_slam_ros.detection.reflectors import ReflectorDetector
 from fej_slam_ros.errors import UsageError
+from fej_slam_ros.ros.messages.laser import MAX_DURATION
 from fej_slam_ros.ros.parameters.schema import Value
 from fej_slam_ros.ros.parameters.values import given_values, robot_names, Warn, warn_once
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
@@ -21,6 +22,7 @@ from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
 RADIUS = numbers('a number', Range(0.001, 10.0))
 SIGMA = numbers('a number', Range(1e-4, 10.0))
 COUNT = numbers('an integer', Range(1, 1000), element=int)
+DURATION = numbers('a number', Range(0.0, MAX_DURATION))
 
 
 @dataclass(frozen=True)
@@ -61,6 +63,11 @@ class DetectorSettings:
         False, FLAG,
         'the last beam of a scan was measured first, as of RPLIDAR: its driver reverses ranges,'
         ' but not times')
+    scan_duration: float = parameter(
+        0.0, DURATION,
+        'time in which the laser measures all beams of a scan, where the driver leaves'
+        ' time_increment at 0 or computes it wrongly, as that of LDS-01; 0: by time_increment',
+        's')
     tf_topics: str = parameter(
         'both', one_of('shared', 'robot', 'both'),
         'topics of the static transforms of the lasers: /tf_static, <robot>/tf_static, or both')

@@ -181,7 +181,8 @@ class DetectorSession:
     def _receive_scan(self, name: str, message: Message, received: int | None) -> None:
         state = self._detectors[name]
         try:
-            stamp, scan = laser.laser_scan(message)
+            duration = self._settings.scan_duration
+            stamp, scan = laser.laser_scan(message, duration)
             if self._settings.intensity_threshold > 0.0 and scan.intensities is None:
                 raise ScanFaultError(ScanFault.NO_INTENSITIES)
             if self._settings.reversed_beams:
@@ -191,7 +192,8 @@ class DetectorSession:
             if not state.detector.add_scan(StampedScan(stamp, scan, mount, published, frame)):
                 raise ScanFaultError(ScanFault.LATE)
             state.has_frame = frame != ''
-            state.timing.add(frame, stamp, scan, message.scan_time)
+            # Drivers with wrong times between beams state wrong times between scans, too.
+            state.timing.add(frame, stamp, scan, 0.0 if duration else message.scan_time)
             if received is not None:
                 state.timing.add_delay(received - stamp, scan.duration)
         except ScanFaultError as rejected:
@@ -248,8 +250,15 @@ def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
     if state.timing.fault:
         yield Condition(
             'scan_duration', state.timing.fault,
-            'set time_increment to the time between beams; if all beams are measured at once, set'
+            'set scan_duration of the detector to the time in which the laser measures a scan, or'
+            ' correct time_increment in the driver; if all beams are measured at once, set'
             ' scan_time to 0 too')
+    if state.timing.is_missing:
+        yield Condition(
+            'scan_times',
+            'the scans have neither scan_time nor time_increment, so that they are not corrected'
+            ' for the motion of the robot',
+            'set scan_duration of the detector to the time in which the laser measures a scan')
     if state.timing.stamp_fault:
         yield Condition(
             'scan_stamp', state.timing.stamp_fault,

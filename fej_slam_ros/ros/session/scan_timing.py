@@ -22,6 +22,8 @@ MIN_RATIO, MAX_RATIO = 0.4, 2.0
 #: Shortest duration of a scan [ns] whose delay shows when it began, and share of it by which a
 #: scan must arrive after odometry of the same stamp: it is sent when it is complete.
 MIN_DURATION, MIN_DELAY_SHARE = NS // 50, 0.3
+#: Smallest stamp of a clock that is not that of a simulator, which begins at 0: in 2001 [ns].
+MIN_REAL_STAMP = 1_000_000_000 * NS
 
 
 class ScanTiming:
@@ -35,6 +37,8 @@ class ScanTiming:
         self._scan_delays: deque[int] = deque(maxlen=MAX_INTERVALS)
         #: what is wrong with the duration and the stamp of the latest scan, '' if nothing is
         self.fault = self.stamp_fault = ''
+        #: whether the latest scan is that of a real laser that turns, without any time
+        self.is_missing = False
 
     def add_odometry(self, delay: int) -> None:
         """Add the time from the stamp of odometry to its reception [ns]."""
@@ -73,6 +77,7 @@ class ScanTiming:
         interval = scan_time * NS or self._interval(laser, stamp)
         is_stated = scan_time > 0.0 or scan.time_increment > 0.0
         share = min(abs(scan.angle_increment) * len(scan.ranges) / (2.0 * math.pi), 1.0)
+        self.is_missing = not is_stated and share >= MIN_SHARE and stamp >= MIN_REAL_STAMP
         if not is_stated or not interval or share < MIN_SHARE:
             return
         is_right = MIN_RATIO * share * interval <= scan.duration <= MAX_RATIO * share * interval

@@ -102,26 +102,56 @@ def test_posts_seen_by_a_turned_laser_stand_still_if_a_parameter_says_where_it_i
     assert warning == ''
 
 
-def test_beams_in_the_reverse_order_of_time_are_corrected_for_the_motion_of_the_robot():
-    # As of RPLIDAR, of a robot that turns by 1 rad/s: the last beam is measured first.
-    beams, duration, rate = 720, 0.1, 1.0
-    times = duration * np.arange(beams)[::-1] / (beams - 1)
-    angles = -np.pi + 2.0 * np.pi / beams * np.arange(beams)
-    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
-    scan = replace(
-        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS),
-        time_increment=duration / (beams - 1))
-    odometry = [
+def scan_angles(beams):
+    return -np.pi + 2.0 * np.pi / beams * np.arange(beams)
+
+
+def turning_odometry(rate):
+    """Return odometry of a robot that turns on the spot [rad/s]."""
+    return [
         raw('r1/odom', odometry_message(
             ms, quaternion=(0.0, 0.0, np.sin(rate * ms / 2e3), np.cos(rate * ms / 2e3))))
         for ms in range(0, 200, 10)]
 
+
+def test_beams_in_the_reverse_order_of_time_are_corrected_for_the_motion_of_the_robot():
+    # As of RPLIDAR, of a robot that turns by 1 rad/s: the last beam is measured first.
+    beams, duration, rate = 720, 0.1, 1.0
+    times, angles = duration * np.arange(beams)[::-1] / (beams - 1), scan_angles(beams)
+    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
+    scan = replace(
+        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS),
+        time_increment=duration / (beams - 1))
+
     message, = run(
-        session_of(reversed_beams=True), *odometry, scan_message(frame='r1/base_link', scan=scan))
+        session_of(reversed_beams=True), *turning_odometry(rate),
+        scan_message(frame='r1/base_link', scan=scan))
 
     # As seen at the end of the scan.
     expected = transform(np.array([0.0, 0.0, -rate * duration]), POSTS[:, :2])
     assert distances(points(message), expected) == pytest.approx([0.0, 0.0], abs=0.03)
+
+
+@pytest.mark.parametrize('time_increment', [0.0, 2.98e-5, float('nan'), 153_333.3])
+def test_scans_without_right_times_are_corrected_by_a_given_duration(time_increment):
+    # Of a robot that turns by 1 rad/s; the times are those of drivers (ROBOTIS-GIT/turtlebot3,
+    # issue 634; EAIBOT/ydlidar, issue 31).
+    beams, duration, rate = 720, 0.1, 1.0
+    angles, times = scan_angles(beams), duration / beams * np.arange(beams)
+    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
+    scan = replace(
+        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS))
+    session = session_of(scan_duration=duration)
+
+    message, = run(
+        session, *turning_odometry(rate), scan_message(
+            frame='r1/base_link', scan=scan, time_increment=time_increment,
+            scan_time=110_400_000.0))
+
+    expected = transform(np.array([0.0, 0.0, -rate * times[-1]]), POSTS[:, :2])
+    assert distances(points(message), expected) == pytest.approx([0.0, 0.0], abs=0.03)
+    (_, warning, _), = session.counts()
+    assert warning == ''
 
 
 def test_a_place_given_by_a_parameter_overrides_the_static_transforms():
@@ -247,6 +277,26 @@ def test_scans_that_last_shorter_than_the_laser_turns_are_named(times):
 
     (_, warning, _), = session.counts()
     assert ('cover 360 degrees every' in warning) == is_named
+
+
+#: First stamp [ms] and field of view of scans without times: of a laser that turns, of a
+#: simulator, and of a camera.
+WITHOUT_TIMES = {
+    'laser': (1_700_000_000_000, 2.0 * np.pi, True), 'simulator': (1_000, 2.0 * np.pi, False),
+    'camera': (1_700_000_000_000, 1.5, False)}
+
+
+@pytest.mark.parametrize('sensor', WITHOUT_TIMES)
+def test_scans_of_a_laser_that_turns_without_any_time_are_named(sensor):
+    first, fov, is_named = WITHOUT_TIMES[sensor]
+    session, scan = session_of(), scan_of(POSTS, beams=360, sigma=0.005, fov=fov)
+
+    run(session, *[raw('r1/odom', odometry_message(first + ms)) for ms in range(0, 1000, 50)], *[
+        scan_message(first + ms, 'r1/base_link', scan, time_increment=0.0, scan_time=0.0)
+        for ms in range(100, 900, 100)])
+
+    (_, warning, _), = session.counts()
+    assert ('set scan_duration of the detector' in warning) == is_named
 
 
 #: Times [ms] from the stamps of scans of 0.1 s and of odometry to their reception.
