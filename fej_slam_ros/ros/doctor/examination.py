@@ -114,7 +114,13 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
     explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in names else set()
     if names['no_landmarks'] == robots:
         explained |= EFFECTS_OF_NO_LANDMARKS
-    return (finding for finding in findings if finding.name not in explained)
+    # A detector that rejects all scans of a robot writes no landmarks.
+    without_scans = {
+        f'{finding.where.removesuffix("/scan")}/landmarks' for finding in findings
+        if finding.name == 'scans_rejected'}
+    return (
+        finding for finding in findings if finding.name not in explained
+        and not (finding.name == 'no_landmarks' and finding.where in without_scans))
 
 
 def _check_messages(

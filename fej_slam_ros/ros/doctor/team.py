@@ -83,6 +83,8 @@ def _not_joined(
             _common_observations(survey, robot, other, settings.shared_landmark_ids)
             for other in settings.robots if other is not robot)
         shared = (
+            'drive both among the same five landmarks or more, at irregular distances'
+            if survey.observations(f'{robot.name}/landmarks').id_counts().keys() == {NO_ID} else
             'let both observe the same landmarks with the same IDs'
             if settings.shared_landmark_ids else
             'set shared_landmark_ids: true if all robots use the same IDs')

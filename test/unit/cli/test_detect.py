@@ -2,11 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """`detect` copies a bag with its landmarks, and says in one sentence what it cannot do."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from fej_slam_ros.ros.files import bags
 from helpers.ros import (
-    assert_one_sentence, odometry_message, raw, run_verb, write_bag, write_parameters)
+    assert_one_sentence, cdr, odometry_message, raw, run_verb, TYPES, write_bag, write_parameters)
 
 WORLD = {'environment': 'posts', 'steps_per_loop': 60, 'loops': 1, 'beams': 360, 'seed': 1}
 
@@ -66,6 +69,24 @@ def test_the_doctor_of_a_bag_with_scans_but_no_landmarks_names_detect(recorded, 
     run_verb('doctor', recorded[0])
 
     assert 'cure: find posts or reflectors in r1/scan: detect BAG' in capsys.readouterr().out
+
+
+def test_the_doctor_does_not_advise_to_detect_in_scans_that_are_all_rejected(
+        recorded, tmp_path, capsys):
+    copy = write_bag(tmp_path / 'bag', [
+        without_beams(message) if message.topic == 'r1/scan' else message
+        for message in bags.read(recorded[0])])
+
+    run_verb('doctor', copy, '--params', recorded[1])
+
+    found = [line for line in capsys.readouterr().out.splitlines() if ': r1/' in line]
+    assert [line.split(': ')[1:3] for line in found if line.startswith('error')] == [
+        ['r1/scan', 'scans_rejected']]
+
+
+def without_beams(message):
+    scan = TYPES.deserialize_cdr(message.raw, message.type_name)
+    return replace(message, raw=cdr(replace(scan, ranges=np.empty(0, np.float32))))
 
 
 @pytest.mark.parametrize(

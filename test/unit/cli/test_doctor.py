@@ -94,6 +94,11 @@ FAULTS = {
         C, each('r2/odom', framed('banana')), 0, 'wrong_frame', 'r2/odom', 'r2/odom'),
     'no ids': (C, each('r2/landmarks', columns(id=lambda i: -1 + 0 * i)), 1, 'no_identity',
                'r2/landmarks', 'IDs'),
+    'no ids, mirrored': (
+        C, both(
+            each('r1/landmarks r2/landmarks', columns(id=lambda i: -1 + 0 * i)),
+            each('r2/landmarks', columns(y=lambda y: -y))), 1, 'never_joins', 'r2',
+        'irregular distances'),
     'id twice': (
         R, each('p/landmarks', columns(
             id=lambda i: np.where(i == i.max(initial=-9), i[:1], i)), 3), 1, 'duplicate_id',
