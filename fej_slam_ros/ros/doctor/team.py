@@ -83,7 +83,8 @@ def _not_joined(
             _common_observations(survey, robot, other, settings.shared_landmark_ids)
             for other in settings.robots if other is not robot)
         shared = (
-            'drive both among the same five landmarks or more, at irregular distances'
+            'drive both among the same five landmarks or more, at irregular distances; of lasers'
+            ' check reversed_beams and scan_duration of the detector'
             if survey.observations(f'{robot.name}/landmarks').id_counts().keys() == {NO_ID} else
             'let both observe the same landmarks with the same IDs'
             if settings.shared_landmark_ids else

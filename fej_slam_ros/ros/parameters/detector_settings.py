@@ -66,7 +66,8 @@ class DetectorSettings:
     scan_duration: float = parameter(
         0.0, DURATION,
         'time in which the laser measures all beams of a scan, where the driver leaves'
-        ' time_increment at 0 or computes it wrongly, as that of LDS-01; 0: by time_increment',
+        ' time_increment at 0 or computes it wrongly, as older ones of LDS-01; 0: by'
+        ' time_increment',
         's')
     tf_topics: str = parameter(
         'both', one_of('shared', 'robot', 'both'),

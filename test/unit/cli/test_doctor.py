@@ -98,7 +98,7 @@ FAULTS = {
         C, both(
             each('r1/landmarks r2/landmarks', columns(id=lambda i: -1 + 0 * i)),
             each('r2/landmarks', columns(y=lambda y: -y))), 1, 'never_joins', 'r2',
-        'irregular distances'),
+        'reversed_beams'),
     'id twice': (
         R, each('p/landmarks', columns(
             id=lambda i: np.where(i == i.max(initial=-9), i[:1], i)), 3), 1, 'duplicate_id',
