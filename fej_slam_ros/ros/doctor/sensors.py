@@ -53,7 +53,7 @@ CURES = {
     'scan': (
         'negate angle_increment, or give the static transform the roll of the laser',
         'correct the static transform of the laser',
-        'stamp a scan with the time of its first beam, and give time_increment'),
+        'stamp a scan with its first beam, or set stamped_at_end; see scan_duration, too'),
     'landmarks': (
         'give y to the left, as in all frames of ROS, or set mirrored_axis of the adapter',
         'correct the static transform of the sensor or its sensor_pose',

@@ -69,6 +69,9 @@ class DetectorSettings:
         ' time_increment at 0 or computes it wrongly, as older ones of LDS-01; 0: by'
         ' time_increment',
         's')
+    stamped_at_end: bool = parameter(
+        False, FLAG,
+        'the stamp of a scan is that of its last beam, as of drivers that stamp a complete scan')
     tf_topics: str = parameter(
         'both', one_of('shared', 'robot', 'both'),
         'topics of the static transforms of the lasers: /tf_static, <robot>/tf_static, or both')

@@ -183,6 +183,7 @@ class DetectorSession:
         try:
             duration = self._settings.scan_duration
             stamp, scan = laser.laser_scan(message, duration)
+            stamp -= scan.duration if self._settings.stamped_at_end else 0
             if self._settings.intensity_threshold > 0.0 and scan.intensities is None:
                 raise ScanFaultError(ScanFault.NO_INTENSITIES)
             if self._settings.reversed_beams:
@@ -262,7 +263,8 @@ def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
     if state.timing.stamp_fault:
         yield Condition(
             'scan_stamp', state.timing.stamp_fault,
-            'stamp a scan with the time of its first beam, or send odometry with less delay')
+            'set stamped_at_end of the detector to true if the driver stamps complete scans, or'
+            ' send odometry with less delay')
     if state.detector.scans and not state.landmarks:
         yield _no_landmark(state.detector)
 

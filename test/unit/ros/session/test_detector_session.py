@@ -154,6 +154,24 @@ def test_scans_without_right_times_are_corrected_by_a_given_duration(time_increm
     assert warning == ''
 
 
+def test_landmarks_of_scans_that_are_stamped_at_their_ends_are_seen_at_their_stamps():
+    # Of a robot that turns by 1 rad/s, in the time up to the stamp of 0.1 s.
+    beams, duration, rate = 720, 0.1, 1.0
+    angles, times = scan_angles(beams), duration * np.arange(beams) / (beams - 1)
+    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
+    scan = replace(
+        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS),
+        time_increment=duration / (beams - 1))
+
+    message, = run(
+        session_of(stamped_at_end=True), *turning_odometry(rate),
+        scan_message(100, frame='r1/base_link', scan=scan))
+
+    assert message.header.stamp.nanosec == pytest.approx(100_000_000, abs=1000)
+    expected = transform(np.array([0.0, 0.0, -rate * duration]), POSTS[:, :2])
+    assert distances(points(message), expected) == pytest.approx([0.0, 0.0], abs=0.03)
+
+
 def test_a_place_given_by_a_parameter_overrides_the_static_transforms():
     link = mounts(('r1/base_link', 'r1/laser', (0.3, 0.1, 0.5), UPRIGHT))
 
@@ -321,7 +339,7 @@ def test_scans_that_arrive_before_they_can_be_complete_are_named(case):
         for ms in range(0, 3000, 100)])
 
     (_, warning, _), = session.counts()
-    assert ('stamps of their last beams' in warning) == is_named
+    assert ('set stamped_at_end of the detector' in warning) == is_named
 
 
 def test_scans_of_a_laser_at_a_lower_rate_than_it_turns_are_right():
