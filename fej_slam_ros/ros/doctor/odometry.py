@@ -12,6 +12,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.doctor.findings import counted, error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
+from fej_slam_ros.ros.session.input_health import MIN_SPEED_SIGMA
 
 #: Quantile of the speeds that is the usual maximum; the speeds above it may be jumps.
 USUAL_QUANTILE = 0.95
@@ -22,10 +23,8 @@ JUMP_FACTOR = 2.0
 JUMP_MARGIN = np.array([1.0, 2.0])
 #: Upper bound of the median speed [m/s, rad/s]; above it, units are wrong.
 MAX_MEDIAN_SPEED = np.array([50.0, 80.0])
-#: Standard deviations of vx, vy, wz [m/s, m/s, rad/s] below which observations cannot correct the
-#: odometry, and above which it contributes nothing: drivers fill in variances of 1e-9 and of 1e3
-#: or more where they know none.
-MIN_SPEED_SIGMA = np.array([1e-4, 1e-4, 4e-5])
+#: Standard deviations of vx, vy, wz [m/s, m/s, rad/s] above which odometry contributes nothing:
+#: drivers fill in variances of 1e3 or more where they know none.
 MAX_SPEED_SIGMA = np.array([30.0, 30.0, 30.0])
 SPEED_NAMES = np.array(['vx', 'vy', 'wz'])
 
@@ -85,9 +84,10 @@ def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     known = variances[~unknown]
     sigma = np.sqrt(known)
     # A variance of zero is valid for vy: many robots cannot move sideways.
-    too_small = (sigma < MIN_SPEED_SIGMA) & (np.array([True, False, True]) | (known > 0.0))
+    smallest = np.array(MIN_SPEED_SIGMA)
+    too_small = (sigma < smallest) & (np.array([True, False, True]) | (known > 0.0))
     for wrong, side, bounds in (
-            (too_small, 'below', MIN_SPEED_SIGMA),
+            (too_small, 'below', smallest),
             (sigma > MAX_SPEED_SIGMA, 'above', MAX_SPEED_SIGMA)):
         if wrong.any():
             columns, messages = wrong.any(axis=0), int(wrong.any(axis=1).sum())

@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.ros.session.input_health import InputHealth, MIN_GATE_SAMPLE, UNMOVED_MESSAGES
+from fej_slam_ros.ros.session.input_health import (
+    EXACT_MESSAGES, InputHealth, MIN_GATE_SAMPLE, UNMOVED_MESSAGES)
 from fej_slam_ros.ros.session.inputs import MEASUREMENT_TOPICS, OBSERVATION_TOPICS, SENT_TOPICS
 from fej_slam_ros.ros.session.topic_flow import RATE_WINDOW, TopicFlow
 
@@ -206,6 +207,13 @@ def _unmoved(given: RobotInput) -> Iterator[Fault]:
             ' into pose.pose, only poses are used'))
 
 
+def _exact_odometry(given: RobotInput) -> Iterator[Fault]:
+    if given.health.exact[given.robot] >= EXACT_MESSAGES:
+        yield Fault(Level.WARN, (
+            f'{given.topic("odom")} has almost no variance of vx or wz in twist.covariance, so'
+            ' that observations hardly correct it: fill in vx, vy and wz, or leave them zero'))
+
+
 def _too_large(given: RobotInput) -> Iterator[Fault]:
     for kind in OBSERVATION_TOPICS:
         largest = given.flow(kind).largest
@@ -276,8 +284,8 @@ def _delays_others(given: RobotInput) -> Iterator[Fault]:
 #: Each yields the faults of one kind.
 CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
     _other_type, _incompatible_qos, _no_odometry, _odometry_stopped, _no_observations,
-    _observations_stopped, _all_rejected, _other_clock, _unmoved, _too_large, _too_frequent,
-    _beyond_limits, _mostly_gated, _none_used, _delays_others)
+    _observations_stopped, _all_rejected, _other_clock, _unmoved, _exact_odometry, _too_large,
+    _too_frequent, _beyond_limits, _mostly_gated, _none_used, _delays_others)
 
 
 def _stopped(given: RobotInput, kind: str, what: str) -> str:

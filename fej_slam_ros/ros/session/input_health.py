@@ -25,6 +25,11 @@ REPEATED_POSES, REPEATED_TIME = 5, 60 * NS
 #: Number of odometry messages in a row with one pose while the robot drives by their velocities,
 #: and speeds [m/s, rad/s] above which it drives; drivers may send a pose a few times.
 UNMOVED_MESSAGES, MIN_SPEEDS = 100, (0.05, 0.05)
+#: Number of odometry messages in a row whose motion is claimed to be almost exact.
+EXACT_MESSAGES = 100
+#: Standard deviations of vx, vy and wz [m/s, m/s, rad/s] below which observations cannot correct
+#: the odometry: drivers fill in variances of 1e-9, or some of the variances only.
+MIN_SPEED_SIGMA = 1e-4, 1e-4, 4e-5
 
 
 def are_repeated(stamps: Sequence[int]) -> bool:
@@ -118,6 +123,8 @@ class InputHealth:
     pose_priors : stamps [ns] of the pose priors of each robot that wait for its next step
     unmoved : number of the latest odometry messages of each robot that have velocities, but the
         same pose
+    exact : number of the latest odometry messages of each robot that have velocities whose
+        variances are almost zero
     rejected_priors : robot and reason of each rejected pose prior, until they are taken
 
     """
@@ -130,6 +137,7 @@ class InputHealth:
         self.rejected_priors: deque[tuple[str, RejectionReason]] = deque(maxlen=MAX_NOTES)
         self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
         self.unmoved: Counter[str] = Counter()
+        self.exact: Counter[str] = Counter()
         self._poses: dict[str, list[float]] = {}
         self._flows: defaultdict[str, defaultdict[str, TopicFlow]] = (
             defaultdict(lambda: defaultdict(TopicFlow)))
@@ -178,13 +186,31 @@ class InputHealth:
             if lag > self._lags.get(name, 0) and lag <= self.longest_lead:
                 self._lags[name] = lag
 
-    def receive_velocity(self, robot: str, pose: Array, velocity: tuple[float, float]) -> None:
-        """Add pose (3,), and forward and turn rates [m/s, rad/s], of accepted odometry."""
+    def receive_velocity(
+        self, robot: str, pose: Array, velocity: tuple[float, float], Q: Array | None
+    ) -> None:
+        """
+        Add the motion of accepted odometry.
+
+        Parameters
+        ----------
+        robot : its name
+        pose : (3,) array [m, m, rad]
+        velocity : forward and turn rates [m/s, rad/s]
+        Q : (3, 3) covariance of the velocities, None if unknown
+
+        """
+        is_moving = any(abs(v) > least for v, least in zip(velocity, MIN_SPEEDS))
+        # Many robots cannot move sideways, and drivers may know a robot to be at rest.
+        if Q is None or all(Q[k, k] >= MIN_SPEED_SIGMA[k] ** 2 for k in (0, 2)):
+            self.exact[robot] = 0
+        elif is_moving:
+            self.exact[robot] += 1
         newest = pose.tolist()
         if self._poses.get(robot) != newest:
             self._poses[robot] = newest
             self.unmoved[robot] = 0
-        elif any(abs(v) > least for v, least in zip(velocity, MIN_SPEEDS)):
+        elif is_moving:
             self.unmoved[robot] += 1
 
     def remove_robot(self, robot: str) -> None:
@@ -194,6 +220,7 @@ class InputHealth:
         self.newest.pop(robot, None)
         self.pose_priors.pop(robot, None)
         self.unmoved.pop(robot, None)
+        self.exact.pop(robot, None)
         self._poses.pop(robot, None)
         for lags in (self._lags, *self._past_lags):
             del lags[robot]

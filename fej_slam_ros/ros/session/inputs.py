@@ -264,7 +264,8 @@ class Inputs:
         velocity = message.twist.twist
         self.health.receive_odometry(record.robot, record.stamp)
         self.health.receive_velocity(
-            record.robot, record.pose, (velocity.linear.x, velocity.angular.z))
+            record.robot, record.pose, (velocity.linear.x, velocity.angular.z),
+            record.twist_covariance)
         self.frames.add(record.robot, message)
         self.on_odometry(record, message)
         robot = self._consumer.robots[record.robot]

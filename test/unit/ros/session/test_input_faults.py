@@ -308,8 +308,24 @@ def test_observations_with_another_clock_than_odometry_are_an_error(odometry, sc
 def test_velocities_without_motion_of_the_pose_are_an_error(poses, speed, is_fault):
     case = flowing()
     for k in range(200):
-        case.health.receive_velocity('r2', np.array([poses(k), 0.0, 0.0]), (speed, 0.0))
+        case.health.receive_velocity('r2', np.array([poses(k), 0.0, 0.0]), (speed, 0.0), None)
 
     assert case.at(10 * S) == ([(ERROR, (
         '/fleet/r2/odom has velocities, but its pose never changes: integrate them into pose.pose,'
         ' only poses are used'))] if is_fault else [])
+
+
+@pytest.mark.parametrize(('variances', 'speed', 'is_fault'), [
+    # Of vx only, of neither, of all that a wheeled robot has, and of one at rest.
+    ((1e-3, 0.0, 0.0), 0.5, True), ((1e-9, 1e-9, 1e-9), 0.5, True),
+    ((1e-3, 0.0, 1e-3), 0.5, False), ((1e-9, 0.0, 1e-9), 0.0, False)])
+def test_odometry_that_claims_to_be_exact_is_named(variances, speed, is_fault):
+    case = flowing()
+    for k in range(200):
+        case.health.receive_velocity(
+            'r2', np.array([0.1 * k, 0.0, 0.0]), (speed, 0.0), np.diag(variances))
+
+    assert case.at(10 * S) == ([(WARN, (
+        '/fleet/r2/odom has almost no variance of vx or wz in twist.covariance, so that'
+        ' observations hardly correct it: fill in vx, vy and wz, or leave them zero'))]
+        if is_fault else [])
