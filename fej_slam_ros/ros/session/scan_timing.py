@@ -22,6 +22,9 @@ MIN_RATIO, MAX_RATIO = 0.4, 2.0
 #: Shortest duration of a scan [ns] whose delay shows when it began, and share of it by which a
 #: scan must arrive after odometry of the same stamp: it is sent when it is complete.
 MIN_DURATION, MIN_DELAY_SHARE = NS // 50, 0.3
+#: Time [ns] by which scans seem to arrive before odometry of the same stamp only if their stamps
+#: are those of another clock.
+OTHER_CLOCK = NS
 #: Smallest stamp of a clock that is not that of a simulator, which begins at 0: in 2001 [ns].
 MIN_REAL_STAMP = 1_000_000_000 * NS
 
@@ -54,7 +57,7 @@ class ScanTiming:
                 or not any(map(any, delays))):
             return
         later = median(self._scan_delays) - median(self._odometry_delays)
-        if later < MIN_DELAY_SHARE * duration:
+        if -OTHER_CLOCK < later < MIN_DELAY_SHARE * duration:
             self.stamp_fault = (
                 f'the scans last {round(duration / 1e6)} ms, but arrive {round(later / 1e6)} ms'
                 ' later than odometry of the same stamp, so that they seem to have the stamps of'

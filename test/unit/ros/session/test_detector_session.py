@@ -322,7 +322,7 @@ DELAYS = {
     'first beam': (105, 4, False), 'last beam': (5, 4, True),
     'first beam, clocks differ': (3105, 3004, False),
     'last beam, clocks differ': (3005, 3004, True),
-    'log times are stamps': (0, 0, False)}
+    'a clock that is 5 s ahead': (-4895, 4, False), 'log times are stamps': (0, 0, False)}
 
 
 @pytest.mark.parametrize('case', DELAYS)
