@@ -100,6 +100,11 @@ class RecordedRobots:
         if options:
             return f'add {" ".join(options)}'
         for topic in self._unused(ODOMETRY):
+            if '/' not in topic and len(self.missing) > 1:
+                return (
+                    'start the drivers of each robot in its namespace'
+                    f' (-r __ns:=/{self.missing[0]}), as /{topic} is of one robot, or of several'
+                    ' that are mixed up')
             return (
                 'choose the topics of each robot with --remap, for example'
                 f' --remap /{topic}:=/{[*robots, *self.missing][0]}/odom')

@@ -139,6 +139,14 @@ def test_an_ambiguous_choice_is_left_to_the_user(recorded, topics, team):
     assert cure.startswith('choose the topics of each robot with --remap, for example --remap /h')
 
 
+def test_one_topic_without_namespace_is_not_proposed_for_several_robots(recorded):
+    robots = recorded({'odom': 'odometry'}, ['r1', 'r2'])
+
+    assert robots.cure('r2') == robots.cure() == (
+        'start the drivers of each robot in its namespace (-r __ns:=/r1), as /odom is of one'
+        ' robot, or of several that are mixed up')
+
+
 def test_topics_are_listed_by_type_with_their_counts(recorded):
     topics = {**HUSKY, 'husky1/lidar': 'points points', 'ground_truth/landmarks': 'observations'}
 
