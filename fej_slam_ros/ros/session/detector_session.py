@@ -260,6 +260,10 @@ def _conditions(name: str, state: _RobotDetector) -> Iterator[Condition]:
             'the scans have neither scan_time nor time_increment, so that they are not corrected'
             ' for the motion of the robot',
             'set scan_duration of the detector to the time in which the laser measures a scan')
+    if state.timing.clock_fault:
+        yield Condition(
+            'scan_stamp', state.timing.clock_fault,
+            'stamp both by one clock, or send odometry with less delay')
     if state.timing.stamp_fault:
         yield Condition(
             'scan_stamp', state.timing.stamp_fault,

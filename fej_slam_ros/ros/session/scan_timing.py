@@ -22,9 +22,9 @@ MIN_RATIO, MAX_RATIO = 0.4, 2.0
 #: Shortest duration of a scan [ns] whose delay shows when it began, and share of it by which a
 #: scan must arrive after odometry of the same stamp: it is sent when it is complete.
 MIN_DURATION, MIN_DELAY_SHARE = NS // 50, 0.3
-#: Time [ns] by which scans seem to arrive before odometry of the same stamp only if their stamps
-#: are those of another clock.
-OTHER_CLOCK = NS
+#: Share of a scan by which it seems to arrive before odometry of the same stamp, at least, if its
+#: clock is ahead of that of odometry: with the stamp of its last beam it arrives at the same time.
+CLOCK_SHARE = 0.5
 #: Smallest stamp of a clock that is not that of a simulator, which begins at 0: in 2001 [ns].
 MIN_REAL_STAMP = 1_000_000_000 * NS
 
@@ -38,8 +38,9 @@ class ScanTiming:
             lambda: deque(maxlen=MAX_INTERVALS))
         self._odometry_delays: deque[int] = deque(maxlen=MAX_INTERVALS)
         self._scan_delays: deque[int] = deque(maxlen=MAX_INTERVALS)
-        #: what is wrong with the duration and the stamp of the latest scan, '' if nothing is
-        self.fault = self.stamp_fault = ''
+        #: what is wrong with the duration, the stamp and the clock of the latest scan, '' if
+        #: nothing is
+        self.fault = self.stamp_fault = self.clock_fault = ''
         #: whether the latest scan is that of a real laser that turns, without any time
         self.is_missing = False
 
@@ -50,14 +51,18 @@ class ScanTiming:
     def add_delay(self, delay: int, duration: int) -> None:
         """Add the time from the stamp of a scan to its reception, and its duration [ns]."""
         self._scan_delays.append(delay)
-        self.stamp_fault = ''
+        self.stamp_fault = self.clock_fault = ''
         delays = self._odometry_delays, self._scan_delays
         # Log times of a converted bag are the stamps.
         if (duration < MIN_DURATION or min(map(len, delays)) < MIN_INTERVALS
                 or not any(map(any, delays))):
             return
         later = median(self._scan_delays) - median(self._odometry_delays)
-        if -OTHER_CLOCK < later < MIN_DELAY_SHARE * duration:
+        if later < -CLOCK_SHARE * duration:
+            self.clock_fault = (
+                f'the scans arrive {-later / NS:.3g} s before odometry of the same stamp, so that'
+                ' their clock seems to be ahead of that of odometry')
+        elif later < MIN_DELAY_SHARE * duration:
             self.stamp_fault = (
                 f'the scans last {round(duration / 1e6)} ms, but arrive {round(later / 1e6)} ms'
                 ' later than odometry of the same stamp, so that they seem to have the stamps of'
