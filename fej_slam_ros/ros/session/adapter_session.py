@@ -319,7 +319,7 @@ class AdapterSession:
                 f'the frame {frames[0]!r} is that of a map or of odometry: publish detections in'
                 ' the frame of their camera')
         if frames:
-            return _unknown_pose(name, frames[0])
+            return _unknown_pose(name, frames[0], self._frames)
         if self._ids.conflicts:
             return (
                 f'{len(self._ids.conflicts)} names have no ID of their own, such as'
@@ -349,7 +349,7 @@ class AdapterSession:
         return f'no detections: publish them on {topics or "/tf"}'
 
 
-def _unknown_pose(name: str, frame: str) -> str:
+def _unknown_pose(name: str, frame: str, of_robots: SensorFrames) -> str:
     """Return the sentence on a sensor whose robot, or whose pose on its robot, is unknown."""
     if name == UNKNOWN_ROBOT:
         return (
@@ -359,8 +359,8 @@ def _unknown_pose(name: str, frame: str) -> str:
     if not frame:
         return f'the messages have no frame_id: set it in the detector, or set {name}.sensor_pose'
     return (
-        f'no static transform from the frame {frame!r} to the base frame: publish it'
-        f' on /tf_static, or set {name}.sensor_pose')
+        f'no static transform from the frame {frame!r} to the base frame {of_robots.base(name)!r}:'
+        f' publish it on /tf_static, or set {name}.sensor_pose')
 
 
 def _stacked(observations: list[PlanarObservation]) -> tuple[Array, Array]:

@@ -56,6 +56,7 @@ class _RobotDetector:
         self.odometry = self.landmarks = 0
         #: frames of lasers whose places on the robot are not known
         self.unknown_frames: set[str] = set()
+        self.base_frame = ''  #: to which no transform from these frames leads
         self.has_frame = True  #: whether the latest scan names its frame
         self.stamps = DistinctStamps()
         self.timing = ScanTiming()
@@ -213,6 +214,7 @@ class DetectorSession:
             unknown.discard(frame)
         elif len(unknown) < MAX_SENSORS:
             unknown.add(frame)
+            self._detectors[name].base_frame = self._frames.base(name)
         if pose is None:
             return scan, np.zeros(3), frame
         base = self._frames.base(name)
@@ -294,7 +296,7 @@ def _conditions_of_place(name: str, state: _RobotDetector) -> Iterator[Condition
         yield Condition(
             'laser_frame',
             f'no static transform from the frame {min(state.unknown_frames)!r} of the scans to the'
-            ' base frame',
+            f' base frame {state.base_frame!r}',
             f'publish it on /tf_static, or set {name}.sensor_pose here and at the estimator, and'
             f' {name}.sensor_frame there')
     if not state.has_frame:

@@ -581,7 +581,7 @@ def test_the_missing_transform_of_a_frame_on_tf_is_a_matter_of_its_robot():
 
     name, warning, counts = next(session.counts())
     assert (name, counts['rejected_wrong_frame']) == ('r1', 1)
-    assert "no static transform from the frame 'r1/camera'" in warning
+    assert "from the frame 'r1/camera' to the base frame 'r1/base_link'" in warning
 
 
 def test_many_unknown_frames_do_not_silence_a_known_one():

@@ -191,7 +191,9 @@ def test_one_of_two_lasers_at_an_unknown_place_is_named():
         scan_message(5, 'r1/front'))
 
     (_, warning, _), = session.counts()
-    assert warning.startswith("no static transform from the frame 'r1/rear'")
+    assert warning.startswith(
+        "no static transform from the frame 'r1/rear' of the scans to the base frame"
+        " 'r1/base_link'")
 
 
 @pytest.mark.parametrize(
