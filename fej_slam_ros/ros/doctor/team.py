@@ -118,8 +118,8 @@ def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Findin
             'does_not_fit', robot,
             f'{100 * gated:.0f} % of its observations of mapped landmarks contradict the map'
             + (f', likely lost: {lost}' if lost else ''),
-            'check IDs, stamps, sensor_pose, and x ahead and y left in metres; then run fej_slam'
-            ' calibrate')
+            'check IDs, stamps, sensor_pose, the size of tags, and x ahead and y left in metres;'
+            ' then run fej_slam calibrate')
     if not is_wrong:
         yield from _contradicted_ids(robot, survey, trial)
 
@@ -136,7 +136,8 @@ def _contradicted_ids(robot: str, survey: Survey, trial: Trial) -> Iterator[Find
         yield error_if(len(wrong) > 1)(
             'contradicted_id', topic,
             f'observations of {", ".join(map(str, wrong))} contradict the map, others fit',
-            'check whether these landmark IDs are swapped or used twice, or the landmarks moved',
+            'check whether these landmark IDs are swapped or used twice, or the landmarks moved;'
+            ' list tags on a robot in <robot>.tags of the adapter',
             len(wrong))
 
 

@@ -98,7 +98,7 @@ class AdapterSession:
             **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
             LANDMARK_IDS: outgoing.TEXT_TYPE, DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
         self._stamps = {name: DistinctStamps() for name in self.robots}
-        # The name of an ignored object, by the robot of its topic.
+        # The name of an ignored object, by the robot of its topic, '' for those of the team.
         self._ignored: dict[str, str] = {}
         self._counts: dict[str, Counter[str]] = {
             name: Counter(messages=0, landmarks=0, robots=0)
@@ -176,15 +176,30 @@ class AdapterSession:
             self._reject(name, RejectionReason.BAD_MESSAGE)
             return
         for sensed in object_format.read(message):
+            named = [item._replace(name=self._common_name(item.name)) for item in sensed.objects]
             used = [
-                item for item in sensed.objects
+                item for item in named
                 if not item.name or is_used(item.name) or self._carrier(item.name)]
-            if len(used) < len(sensed.objects):
-                self._counts[name or UNKNOWN_ROBOT]['ignored'] += len(sensed.objects) - len(used)
-                self._ignored[name] = sensed.objects[-1].name
+            if len(used) < len(named):
+                self._counts[name or UNKNOWN_ROBOT]['ignored'] += len(named) - len(used)
+                self._note_ignored(name, sensed.header.frame_id.lstrip('/'), [
+                    item.name for item in named if item not in used])
             # A message without objects is an empty scan, one with others only is none.
             if used or not sensed.objects:
                 self._add(name, sensed._replace(objects=used))
+
+    def _common_name(self, name: str) -> str:
+        """Return the name of an object without that of the robot that sees it."""
+        prefix, slash, common = name.partition('/')
+        return common if slash and prefix in self.robots and name not in self._carriers else name
+
+    def _note_ignored(self, name: str, frame: str, ignored: Sequence[str]) -> None:
+        """Store an example of ignored names, except of links of a robot and its odometry."""
+        if not any(
+            self._frames.is_base(robot, frame) or self._frames.is_fixed(robot, frame)
+            for robot in self.robots
+        ):
+            self._ignored[name] = ignored[-1]
 
     def _add(self, name: str, sensed: SensedObjects) -> None:
         """Add the valid objects of a message to those that wait for the pose of their sensor."""
@@ -325,7 +340,7 @@ class AdapterSession:
                 f'{len(self._ids.conflicts)} names have no ID of their own, such as'
                 f' {min(self._ids.conflicts)!r}: give them IDs in ids_file')
         if name != UNKNOWN_ROBOT and not counts['messages']:
-            return self._why_no_messages(name, counts, origins)
+            return self._why_no_messages(name, origins)
         rejected = Counter({
             key.removeprefix('rejected_'): n for key, n in counts.items()
             if key.startswith('rejected_')})
@@ -336,13 +351,14 @@ class AdapterSession:
             f': {CURES[reason]}' if reason in CURES else '')
 
     def _why_no_messages(
-        self, name: str, counts: Counter[str], origins: Sequence[Origin]
+        self, name: str, origins: Sequence[Origin]
     ) -> str:
         """Return why no message of a robot was used."""
-        if counts['ignored']:
+        ignored = self._ignored.get(name) or self._ignored.get('')
+        if ignored:
             return (
                 "no object has a name that matches the parameter 'names', for example"
-                f' {self._ignored[name]!r}')
+                f' {ignored!r}')
         if not all(map(self._queue.owner, origins)):
             return f'no detections that are known to be its own, see {UNKNOWN_ROBOT}'
         topics = ', '.join(topic for topic in self._formats if topic.startswith(f'{name}/'))

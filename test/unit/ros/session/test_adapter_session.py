@@ -286,6 +286,37 @@ def test_other_transforms_on_tf_are_no_scans():
     assert (counts['ignored'], "'names'" in warning) == (1, True)
 
 
+def test_the_name_of_a_tag_may_begin_with_that_of_the_robot_that_sees_it():
+    # In a tree of transforms, a tag cannot be below two cameras.
+    session = session_of(robots=['r1', 'r2'])
+
+    found = run(session, ODOMETRY, raw('r2/odom', odometry_message(child='r2/base_link')), *[
+        foreign.april_tags(5, f'{robot}/base_link', {f'{robot}/tag36h11:4': SEEN}, '/tf')
+        for robot in ('r1', 'r2')])
+
+    assert [[ids for ids, _, _ in clouds(found, f'{robot}/landmarks')]
+            for robot in ('r1', 'r2')] == [[[4]], [[4]]]
+
+
+def test_tags_of_other_names_on_tf_are_named_at_each_robot():
+    session = session_of(robots=['r1', 'r2'])
+    links = foreign.april_tags(5, 'r1/base_link', {'r1/wheel_left': SEEN}, '/tf')
+    tag = foreign.april_tags(5, 'r1/camera', {'tag_7': SEEN}, '/tf')
+
+    run(session, ODOMETRY, links, tag, links)
+
+    assert ["for example 'tag_7'" in warning
+            for name, warning, _ in session.counts() if name != 'unknown robot'] == [True, True]
+
+
+def test_links_of_a_robot_on_tf_are_no_tags_of_other_names():
+    session = session_of()
+
+    run(session, ODOMETRY, foreign.april_tags(5, 'r1/base_link', {'wheel_left': SEEN}, '/tf'))
+
+    assert next(session.counts())[1].startswith('no detections: publish them on')
+
+
 def test_tags_with_names_of_their_own_are_chosen_by_a_pattern():
     saved = {}
     session = session_of(saved.update, names='dock|gate_.*')
