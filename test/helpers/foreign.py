@@ -28,6 +28,16 @@ std_msgs/Header header
 MarkerPose[] markers
 BoardPose[] boards
 """,
+    'aruco_msgs/msg/Marker': """
+std_msgs/Header header
+uint32 id
+geometry_msgs/PoseWithCovariance pose
+float64 confidence
+""",
+    'aruco_msgs/msg/MarkerArray': """
+std_msgs/Header header
+aruco_msgs/Marker[] markers
+""",
     'vision_msgs/msg/ObjectHypothesis': """
 string class_id
 float64 score
@@ -131,6 +141,16 @@ def aruco(ms, frame, markers, boards=()):
                  for id_, at in markers.items()],
         boards=[make('aruco_opencv_msgs/BoardPose', board_name=name, pose=pose(at))
                 for name, at in dict(boards).items()]), ms)
+
+
+def aruco_ros(ms, frame, markers):
+    return raw('r1/markers', make(
+        'aruco_msgs/MarkerArray', header=header(ms, frame), markers=[
+            make(
+                'aruco_msgs/Marker', header=header(ms, frame), id=id_, confidence=1.0,
+                pose=make(
+                    'geometry_msgs/PoseWithCovariance', pose=pose(at), covariance=np.zeros(36)))
+            for id_, at in markers.items()]), ms)
 
 
 def detections3d(ms, frame, detections, box=(0, 0, 0), frame_of_each=''):

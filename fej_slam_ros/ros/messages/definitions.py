@@ -8,6 +8,11 @@ OTHER_PACKAGES = {
     'aruco_opencv_msgs/msg/ArucoDetection':
         'std_msgs/Header header\naruco_opencv_msgs/MarkerPose[] markers\n'
         'aruco_opencv_msgs/BoardPose[] boards\n',
+    'aruco_msgs/msg/Marker':
+        'std_msgs/Header header\nuint32 id\ngeometry_msgs/PoseWithCovariance pose\n'
+        'float64 confidence\n',
+    'aruco_msgs/msg/MarkerArray':
+        'std_msgs/Header header\naruco_msgs/Marker[] markers\n',
     'vision_msgs/msg/ObjectHypothesis': 'string class_id\nfloat64 score\n',
     'vision_msgs/msg/ObjectHypothesisWithPose':
         'vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n',

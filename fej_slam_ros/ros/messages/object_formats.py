@@ -82,6 +82,13 @@ def aruco(message: Message) -> Iterator[SensedObjects]:
         SensedObject(name, pose.position, pose.orientation) for name, pose in named])
 
 
+def aruco_ros(message: Message) -> Iterator[SensedObjects]:
+    """Yield the markers of a MarkerArray of aruco_msgs, whose covariances are not filled in."""
+    yield SensedObjects(message.header, [
+        SensedObject(str(marker.id), marker.pose.pose.position, marker.pose.pose.orientation)
+        for marker in message.markers])
+
+
 def detection3d(message: Message) -> Iterator[SensedObjects]:
     """Yield the detections of a Detection3DArray, recognised by their class."""
     return _detections(
@@ -131,6 +138,7 @@ FORMATS = {
     'apriltag': ObjectFormat(
         'tf2_msgs/msg/TFMessage', 'tf', apriltag, '[A-Za-z]*[0-9]+h[0-9]+:[0-9]+'),
     'aruco': ObjectFormat('aruco_opencv_msgs/msg/ArucoDetection', 'aruco_detections', aruco),
+    'aruco_ros': ObjectFormat('aruco_msgs/msg/MarkerArray', 'markers', aruco_ros),
     'detection3d': ObjectFormat('vision_msgs/msg/Detection3DArray', 'detections', detection3d),
     'detection3d_track': ObjectFormat(
         'vision_msgs/msg/Detection3DArray', 'detections', detection3d_track),

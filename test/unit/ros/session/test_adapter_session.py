@@ -58,6 +58,7 @@ def _columns(cloud):
     [
         ('apriltag', foreign.april_tags(5, 'r1/camera', {'tag36h11:4': SEEN}), 4),
         ('aruco', foreign.aruco(5, 'r1/camera', {7: SEEN}), 7),
+        ('aruco_ros', foreign.aruco_ros(5, 'r1/camera', {8: SEEN}), 8),
         ('detection3d', foreign.detections3d(5, 'r1/camera', [('12', '3', SEEN, None)]), 12),
         ('detection3d_track', foreign.detections3d(5, 'r1/camera', [('12', '3', SEEN, None)]), 3),
         ('detection3d_anonymous',
