@@ -56,6 +56,10 @@ def _check(
             f'{arguments.bag} has no {" or ".join(sorted({used.topic for used in formats}))} of'
             f' the robots in robots, {cure}')
     for name in session.object_topics:
+        if name in topics and topics[name].type_name != session.topics[name]:
+            raise UserError(
+                f'{arguments.bag} has {name} of the type {topics[name].type_name}, the parameter'
+                f' formats needs {session.topics[name]}: choose other formats')
         if name in topics and topics[name].type_name in types and not topics[name].is_known:
             raise UserError(
                 f'{arguments.bag} has {topics[name].type_name} of another release than ROS 2'

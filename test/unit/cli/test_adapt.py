@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`adapt` copies a bag with the landmarks of tags, and says in one sentence what it cannot do."""
 
+from dataclasses import replace
 import json
 
 import numpy as np
@@ -47,6 +48,17 @@ def test_messages_of_other_packages_are_copied_too(tmp_path):
 
     after = bags.topics(tmp_path / 'out')
     assert after['r1/aruco_detections'].messages == after['r1/landmarks'].messages == 1
+
+
+def test_messages_of_another_type_on_the_topic_of_a_format_are_named(tmp_path, capsys):
+    settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'], formats=['aruco'])
+    markers = foreign.aruco_ros(1000, 'r1/base_link', {7: (1.0, 2.0, 0.3)})
+    bag = recording(tmp_path, replace(markers, topic='r1/aruco_detections'))
+
+    status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
+
+    assert_one_sentence(
+        (status, *capsys.readouterr()), 1, 'r1/aruco_detections of the type aruco_msgs/msg/')
 
 
 def test_ids_of_names_are_kept_in_a_file(tmp_path):
