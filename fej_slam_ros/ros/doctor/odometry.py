@@ -50,7 +50,8 @@ def _motion(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Fin
         yield error(
             'speed', where,
             f'its median speed is {median_speed[0]:.3g} m/s and {median_speed[1]:.3g} rad/s',
-            'give metres, radians and seconds (REP-103)', len(stamps), int(stamps[0, 0]))
+            'give metres, radians and seconds (REP-103), from the driver of one robot only',
+            len(stamps), int(stamps[0, 0]))
         return
     usual = np.maximum(
         np.quantile(speeds, USUAL_QUANTILE, axis=0),
