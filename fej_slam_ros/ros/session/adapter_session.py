@@ -344,10 +344,14 @@ class AdapterSession:
         rejected = Counter({
             key.removeprefix('rejected_'): n for key, n in counts.items()
             if key.startswith('rejected_')})
-        if not rejected or counts['landmarks'] + counts['robots']:
+        used = counts['landmarks'] + counts['robots']
+        if used:
+            # What is too far away may be so on purpose.
+            del rejected[RejectionReason.OUT_OF_RANGE.value]
+        if rejected.total() <= used:
             return ''
         reason, _ = rejected.most_common(1)[0]
-        return f'all detections are rejected, most as {reason}' + (
+        return f'{"most" if used else "all"} detections are rejected, most as {reason}' + (
             f': {CURES[reason]}' if reason in CURES else '')
 
     def _why_no_messages(

@@ -645,6 +645,26 @@ def test_two_tags_with_one_id_in_view_are_rejected():
     assert next(session.counts())[2]['rejected_duplicate_id'] == 2
 
 
+def test_objects_of_one_class_are_named_also_if_some_are_seen_alone():
+    session = session_of(formats=['detection3d'])
+    chair = '4', '', SEEN, None
+
+    run(session, ODOMETRY, foreign.detections3d(5, 'r1/base_link', [chair]), *[
+        foreign.detections3d(ms, 'r1/base_link', [chair, chair]) for ms in (6, 7)])
+
+    assert next(session.counts())[1].startswith(
+        'most detections are rejected, most as duplicate_id: objects of one class')
+
+
+def test_tags_beyond_the_range_are_not_named_if_others_are_used():
+    session = session_of(max_range=5.0)
+
+    run(session, ODOMETRY, foreign.april_tags(5, 'r1/base_link', {
+        'tag36h11:4': SEEN, 'tag36h11:5': (9.0, 0.0, 0.0), 'tag36h11:6': (8.0, 0.0, 0.0)}))
+
+    assert next(session.counts())[1] == ''
+
+
 def test_a_message_without_objects_is_an_empty_scan():
     session = session_of(formats=['aruco'])
 
