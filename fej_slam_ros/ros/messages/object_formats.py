@@ -24,7 +24,7 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.detection.objects import DetectedObject
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.incoming import (
-    checked_covariance, MAX_VARIANCE, RejectedError, spatial_pose)
+    checked_covariance, MAX_VARIANCE, MIN_VARIANCE, RejectedError, spatial_pose)
 from fej_slam_ros.ros.messages.incoming_clouds import MAX_DISTANCE
 
 #: A pose that has not been set.
@@ -34,6 +34,9 @@ UNSET_POSE = Pose(position=ORIGIN, orientation=UPRIGHT)
 MIN_OBJECT_DISTANCE = 0.01
 #: Largest standard deviation of a distance or direction [m, rad].
 MAX_SIGMA = math.sqrt(MAX_VARIANCE)
+#: Weight of a landmark [1/m^2] from which on it is a factor of a cost function, as usual with
+#: Cartographer, and not the inverse of a variance.
+MIN_COST_WEIGHT = 1e4
 #: Maximum length of the name of an object [characters]; thousands of names are stored.
 MAX_OBJECT_NAME = 255
 
@@ -110,7 +113,7 @@ def landmark_list(message: Message) -> Iterator[SensedObjects]:
     Yield the landmarks of a LandmarkList.
 
     The weight of a translation is the inverse of its variance here. Cartographer multiplies errors
-    by it, but with its usual weights of 1e4 to 1e5 that would mean micrometres.
+    by it, and its usual weights of 1e4 to 1e5 say nothing about the sensor: they are not used.
 
     """
     yield SensedObjects(message.header, [_landmark(entry) for entry in message.landmarks])
@@ -218,10 +221,12 @@ def _landmark(entry: Message) -> SensedObject:
     pose, weight = entry.tracking_from_landmark_transform, entry.translation_weight
     fault = (
         RejectionReason.BAD_COVARIANCE if not 0.0 < weight < math.inf else
-        RejectionReason.OUT_OF_RANGE if weight < 1.0 / MAX_VARIANCE else None)
+        RejectionReason.OUT_OF_RANGE
+        if not 1.0 / MAX_VARIANCE <= weight <= 1.0 / MIN_VARIANCE else None)
     if fault is not None:
         return SensedObject(entry.id, pose.position, pose.orientation, fault=fault)
-    return SensedObject(entry.id, pose.position, pose.orientation, np.eye(3) / weight)
+    P = None if weight >= MIN_COST_WEIGHT else np.eye(3) / weight
+    return SensedObject(entry.id, pose.position, pose.orientation, P)
 
 
 def _polar(observed: Message, sigma: tuple[float, float, float]) -> SensedObject:

@@ -156,6 +156,18 @@ def test_covariances_of_messages_are_turned_into_the_base_frame():
     np.testing.assert_allclose(R, [np.diag([0.01, 0.09])], atol=1e-12)
 
 
+@pytest.mark.parametrize('weight', [1e4, 1e5, 1e8])
+def test_usual_weights_of_cartographer_are_no_variances(weight):
+    session = session_of(
+        formats=['landmark_list'], range_sigma=0.3, range_sigma_growth=0.0, bearing_sigma=0.1)
+    message = foreign.landmark_list(5, 'r1/base_link', {'4': ((2.0, 0.0, 0.0), weight)})
+
+    (_, _, R), = clouds(run(session, ODOMETRY, message))
+
+    # Of a point 2 m ahead: 0.3 m along, and 0.1 rad across the line of sight.
+    np.testing.assert_allclose(R, [np.diag([0.09, 0.04])], rtol=1e-9)
+
+
 def test_the_weight_of_a_landmark_is_the_inverse_of_its_variance():
     message = foreign.landmark_list(5, 'r1/camera', {'4': (SEEN, 400.0)})
 
