@@ -2,19 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check of the clocks of a team: stamps of robots beside each other and beside the log time."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from statistics import median, median_low
 
 import numpy as np
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
-from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
+from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 from fej_slam_ros.ros.session.input_faults import MAX_PROCESSING
 
 #: Upper bound of the share of the team's time that a robot may miss at the begin or end.
 MAX_SILENT_SHARE = 0.25
+#: Difference between the delays of odometry of robots [ns] from which on their clocks may differ,
+#: also where max_delay is larger because of slow detectors.
+MAX_USUAL_OFFSET = NS // 10
 #: Minimum number of messages in a third of a topic whose median delay is compared for drift.
 MIN_DRIFT_MESSAGES = 11
 
@@ -56,10 +59,10 @@ def _offsets(
     robots: Mapping[str, TopicSeries], settings: CommonSettings, clock_limit: float
 ) -> Iterator[Finding]:
     offsets = {name: _median_delay(topic) for name, topic in robots.items()}
-    limit = settings.max_delay * NS
-    common = median(offsets.values())
-    if max(offsets.values()) - min(offsets.values()) > limit:
-        yield from _skew(offsets, limit)
+    limit = min(settings.max_delay * NS, MAX_USUAL_OFFSET)
+    common, difference = median(offsets.values()), max(offsets.values()) - min(offsets.values())
+    if difference > limit:
+        yield from _skew(offsets, limit, error_if(difference > settings.max_delay * NS))
     elif not any(topic.delays().any() for topic in robots.values()):
         yield from _shifts(robots, settings)
     elif abs(common) > clock_limit * NS:
@@ -69,11 +72,13 @@ def _offsets(
             'set use_sim_time for simulated time, or set the clock of the recorder')
 
 
-def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
+def _skew(
+    offsets: Mapping[str, float], limit: float, finding: Callable[..., Finding]
+) -> Iterator[Finding]:
     if len(offsets) == 2:  # Either clock may be the wrong one.
         (first, first_offset), (second, second_offset) = offsets.items()
         side = 'ahead of' if first_offset > second_offset else 'behind'
-        yield error(
+        yield finding(
             'clock_skew', f'{first}, {second}',
             f'stamps of {second} are {seconds(abs(first_offset - second_offset))} {side} those of'
             f' {first}, by log time', SYNCHRONISE)
@@ -82,7 +87,7 @@ def _skew(offsets: Mapping[str, float], limit: float) -> Iterator[Finding]:
         difference = offset - median(offsets.values())
         if abs(difference) > limit:
             side = 'behind' if difference > 0 else 'ahead of'
-            yield error(
+            yield finding(
                 'clock_skew', name,
                 f'its stamps are {seconds(abs(difference))} {side} those of the others, by log'
                 ' time', SYNCHRONISE)

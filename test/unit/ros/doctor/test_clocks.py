@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clock differences between the robots of a bag."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -29,3 +31,13 @@ def test_of_three_clocks_the_one_that_differs_is_named(wrong, offset):
     found = [*check(skewed(**clocks), team('r1', 'r2', 'r3'), clock_limit=1.0)]
 
     assert [(finding.name, finding.where) for finding in found] == [('clock_skew', wrong)]
+
+
+@pytest.mark.parametrize(('offset', 'found'), [
+    (0.05, []), (0.3, ['warning']), (0.5, ['error'])])
+def test_clocks_that_differ_are_named_also_where_max_delay_waits_for_slow_detectors(offset, found):
+    settings = replace(team('r1', 'r2'), max_delay=0.3)
+
+    findings = [*check(skewed(r1=0.0, r2=offset), settings, clock_limit=1.0)]
+
+    assert [finding.severity.value for finding in findings] == found
