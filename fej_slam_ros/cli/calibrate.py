@@ -8,9 +8,9 @@ estimated from ground truth over 5 s, or else from landmarks that are observed a
 
 The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of
-observations; a robot with enough data has its own scale. The other scales are maximum-likelihood
-estimates from the innovations of the estimator without a gate, the same for all robots. Gross
-errors, beyond a chi-square probability of 0.999999, are ignored.
+observations; a robot with enough data has its own scale. The other scales are those at which the
+innovations of the estimator are consistent over 5 s, the same for all robots. Gross errors, beyond
+a chi-square probability of 0.999999, are ignored.
 
 Observations without IDs are matched by the estimator, again and again with the parameters found.
 """
@@ -25,7 +25,7 @@ from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.calibration_run import (
-    calibrated, Calibration, Estimates, is_known, parsed, RobotErrors)
+    calibrated, Calibration, Estimates, INNOVATIONS, is_known, parsed, RobotErrors)
 from fej_slam_ros.cli.run_table import matched_in_words
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration.from_innovations import counts, run as run_estimator
@@ -171,12 +171,12 @@ def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
                 ' it is unchanged')
     of_innovations = [
         f'{kind}_noise_scale' for kind, estimate in estimates.items()
-        if estimate.source == 'innovations' and is_known(estimates, kind)]
+        if estimate.source == INNOVATIONS and is_known(estimates, kind)]
     if of_innovations:
         yield (
             f'{", ".join(of_innovations)} from innovations cover no errors that persist for'
             ' seconds, as those of wheels and cameras do: if the former noise covers them, the'
-            ' filter becomes overconfident, and only ground truth gives the right factors')
+            ' filter becomes overconfident; give more --seconds of a longer run, or ground truth')
     for kind, estimate in estimates.items():
         if not 1.0 / MAX_USUAL < estimate.scales[''].scale < MAX_USUAL:
             yield (

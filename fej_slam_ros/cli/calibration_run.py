@@ -3,7 +3,7 @@
 """Calibration of parameters by the records of a bag: the values that correct them."""
 
 import argparse
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import math
 from operator import attrgetter
 from typing import NamedTuple
@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from tqdm import tqdm
 
-from fej_slam_ros.core.calibration.from_innovations import counts, most_likely_scales
+from fej_slam_ros.core.calibration.from_innovations import (
+    counts, most_likely_scales, with_scans_apart)
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, ERROR_WINDOW, Errors, noise_scales, NoiseScale, normalized_errors)
+from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
 from fej_slam_ros.core.calibration.odometry_errors import (
@@ -33,10 +35,16 @@ MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 MAX_ROUNDS, MAX_CHANGE = 8, 0.05
 
 
+#: Sources of scales: without ground truth, innovations over some seconds and, of what these do not
+#: determine, single ones.
+TRUTH, INNOVATION_WINDOWS, INNOVATIONS = (
+    'truth', f'innovations over {ERROR_WINDOW / NS:g} s', 'innovations')
+
+
 class ScaleEstimate(NamedTuple):
     """Scales of one kind of noise by robot; '' is the scale of all robots."""
 
-    source: str
+    source: str  #: one of the three above
     scales: Mapping[str, NoiseScale]
 
 
@@ -154,7 +162,7 @@ def _estimate(
             f'{arguments.bag} has no ground truth that covers an observation or'
             f' {ERROR_WINDOW / NS:g} s of odometry: leave out --from truth')
     estimates = {
-        kind: ScaleEstimate('truth', noise_scales(samples, DOF[kind]))
+        kind: ScaleEstimate(TRUTH, noise_scales(samples, DOF[kind]))
         for kind, samples in errors.items()}
     rest = [kind for kind in DOF if amounts[kind] and not is_known(estimates, kind)]
     has_innovations = bool(amounts['landmark'] or amounts['robot'])
@@ -164,13 +172,44 @@ def _estimate(
             ' record <robot>/ground_truth, or landmarks')
     if not rest or not has_innovations or arguments.source == 'truth':
         return estimates
-    corrected = parsed(_corrected(values, estimates)).estimation
+    beginning = _beginning(records, arguments.seconds)
     with tqdm(desc='search', unit='run', disable=None) as bar:
-        likeliest = most_likely_scales(
-            corrected, _beginning(records, arguments.seconds), rest,
-            prior_map(settings), bar.update)
-    return estimates | {
-        kind: ScaleEstimate('innovations', {'': noise}) for kind, noise in likeliest.items()}
+        return _with_innovations(estimates, rest, values, beginning, bar.update)
+
+
+def _with_innovations(
+    estimates: Estimates, kinds: Sequence[str], values: Mapping[str, object],
+    records: Sequence[Received], on_run: Callable[[], object],
+) -> Estimates:
+    """Return estimates with those of other kinds of noise, over some seconds if possible."""
+    def likeliest(records: Sequence[Received], kinds: Sequence[str]) -> dict[str, NoiseScale]:
+        settings = parsed(_corrected(values, estimates))
+        return most_likely_scales(
+            settings.estimation, records, kinds, prior_map(settings), on_run)
+
+    start = dict.fromkeys(kinds, 1.0)
+    if 'odometry' in kinds:
+        found = likeliest(with_scans_apart(records, ERROR_WINDOW), kinds)
+        if found['odometry'].is_known():
+            estimates = {**estimates, 'odometry': _over_windows(found['odometry'])}
+            start = {kind: scale.scale for kind, scale in found.items()}
+    observed = [kind for kind in kinds if kind != 'odometry']
+    if is_known(estimates, 'odometry') and observed:
+        settings = parsed(_corrected(values, estimates))
+        for kind, scale in scales_over_windows(
+                settings.estimation, records, {kind: start[kind] for kind in observed},
+                prior_map(settings), on_run).items():
+            estimates = {**estimates, kind: _over_windows(scale)}
+    rest = [kind for kind in kinds if not is_known(estimates, kind)]
+    if rest:
+        estimates = {**estimates, **{
+            kind: ScaleEstimate(INNOVATIONS, {'': scale})
+            for kind, scale in likeliest(records, rest).items()}}
+    return estimates
+
+
+def _over_windows(scale: NoiseScale) -> ScaleEstimate:
+    return ScaleEstimate(INNOVATION_WINDOWS, {'': scale})
 
 
 def _beginning(records: Sequence[Received], seconds: int) -> list[Received]:

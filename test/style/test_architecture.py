@@ -70,7 +70,8 @@ RULES = {
     'core/smoothing/': in_core('smoothing', 'ekf'),
     'core/csam/': in_core('csam', 'smoothing', 'ordering'),
     'core/peers/': in_core('peers', 'csam', 'smoothing', 'ordering'),
-    'core/calibration/': in_core('calibration', 'estimator', 'offline_matching', 'ordering'),
+    'core/calibration/': in_core(
+        'calibration', 'estimator', 'innovation_monitor', 'offline_matching', 'ordering', 'ekf'),
     'core/offline_matching.py': in_core('estimator'),
     'core/estimator.py': in_core(
         'frame_groups', 'team_joiner', 'quarantine', 'innovation_monitor', 'new_landmarks',

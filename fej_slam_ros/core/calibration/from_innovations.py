@@ -23,6 +23,7 @@ from scipy.optimize import minimize
 from fej_slam_ros.core.calibration.from_truth import NoiseScale, OUTLIER_PROBABILITY
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.offline_matching import Received, steps
 from fej_slam_ros.core.records import (
     MAX_LINEAR_HEADING_SIGMA, Odometry, PriorMap, Record, RobotScan, Scan)
@@ -53,11 +54,25 @@ def with_scales(settings: Settings, scales: Mapping[str, float]) -> Settings:
     return replace(settings, robots=robots, **named)
 
 
+def comparable(settings: Settings) -> Settings:
+    """Return settings without a gate of which innovations at different noise are comparable."""
+    # Joins and moved landmarks must not depend on the scales: observations of robots in different
+    # frames have no innovations, so a later join would change the likelihood.
+    return replace(
+        settings, filter=FILTER, gate_probability=1.0, join_probability=1.0,
+        inflate_rejected_scans=False, moved_landmarks='ignore',
+        join_heading_sigma=max(settings.join_heading_sigma, MAX_LINEAR_HEADING_SIGMA))
+
+
 def run(
-    settings: Settings, records: Iterable[Received], prior: PriorMap | None = None
+    settings: Settings, records: Iterable[Received], prior: PriorMap | None = None,
+    innovations: InnovationMonitor | None = None,
 ) -> tuple[Estimator, list[Rejection]]:
     """Return an estimator after all records, and the rejected observations."""
     estimator = Estimator(settings, prior)
+    if innovations is not None:
+        innovations.nis = estimator.innovations.nis
+        estimator.innovations = innovations
     rejected: list[Rejection] = []
     for _ in steps(estimator, records):
         rejected += estimator.statistics.rejections
@@ -105,12 +120,7 @@ class _Search:
         self, settings: Settings, kinds: Sequence[str], prior: PriorMap | None,
         on_run: Callable[[], object],
     ) -> None:
-        # Joins and moved landmarks must not depend on the scales: observations of robots in
-        # different frames have no innovations, so a later join would change the likelihood.
-        self._ungated = replace(
-            settings, filter=FILTER, gate_probability=1.0, join_probability=1.0,
-            inflate_rejected_scans=False, moved_landmarks='ignore',
-            join_heading_sigma=max(settings.join_heading_sigma, MAX_LINEAR_HEADING_SIGMA))
+        self._ungated = comparable(settings)
         self._gated = replace(self._ungated, gate_probability=1.0 - OUTLIER_PROBABILITY)
         self._kinds, self._prior, self._on_run = kinds, prior, on_run
 
@@ -149,6 +159,21 @@ def counts(records: Iterable[Received]) -> Counter[str]:
         elif isinstance(record, RobotScan):
             samples['robot'] += len(record.observations)
     return samples
+
+
+def with_scans_apart(records: Iterable[Received], time: int) -> list[Received]:
+    """Return records with one scan of each kind and robot in a time [ns], those of one stamp."""
+    latest: dict[tuple[type[Record], str], int] = {}
+    kept: list[Received] = []
+    for record, received in records:
+        if isinstance(record, (Scan, RobotScan)):
+            key = type(record), record.robot
+            before = latest.get(key, record.stamp)
+            if not record.observations or 0 < abs(record.stamp - before) < time:
+                continue
+            latest[key] = record.stamp
+        kept.append((record, received))
+    return kept
 
 
 def _minimum(f: Callable[[Array], float], theta: Array, step: float) -> tuple[Array, Array]:

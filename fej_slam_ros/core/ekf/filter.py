@@ -46,6 +46,10 @@ class Innovation(NamedTuple):
     inflated: Sequence[GatedObservation] = ()
     log_det: float = 0.0  #: log det S
     interrupted: Sequence[Association] = ()  #: observations left out as the process is to end
+    r: Array = np.empty(0)  #: (2 m,) array, the innovation
+    #: (2 m, 2 m) array, its covariance, of which only the lower triangle counts; None if the
+    #: update was in blocks
+    S: Array | None = None
 
     def after(self, gated: GateResult) -> 'Innovation':
         """Return the result with the observations rejected and inflated before."""
@@ -160,7 +164,8 @@ class Filter:
         gated = self.gate.apply(observations, r, update.own())   # 4. gate each by S_ii
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
-        x_prior, r, corrections = state.x_hat, r.ravel(), []
+        innovation, S = r.ravel(), update.S
+        x_prior, r, corrections = state.x_hat, innovation, []
         for _ in range(self._iterations - 1):                    # Gauss-Newton: 1. to 5. again
             corrections.append(update.correction(r))
             if len(corrections[-1].y) < len(r):
@@ -173,7 +178,7 @@ class Filter:
         self._note_used(observations[:used])
         return Innovation(
             observations[:used], corrections[0].y[:2 * used], log_det=corrections[0].log_det,
-            interrupted=observations[used:])
+            interrupted=observations[used:], r=innovation[:2 * used], S=S)
 
     def _note_used(self, observations: Sequence[Association]) -> None:
         """Note which robots an update has observed, or used observations of."""

@@ -44,6 +44,8 @@ class UpdateAtOnce:
     def __init__(self, covariance: JointCovariance, H: SparseRows, R: Array) -> None:
         self._covariance = covariance
         self._prior = covariance.project(H, R)
+        #: (2 m, 2 m) array, the lower triangle of S
+        self.S: Array | None = self._prior.S
 
     def own(self) -> Array:
         """Return the diagonal blocks (m, 2, 2) of S."""
@@ -65,6 +67,7 @@ class UpdateInBlocks:
 
     def __init__(self, covariance: JointCovariance, H: SparseRows, R: Array) -> None:
         self._covariance, self._H, self._R = covariance, H, R
+        self.S: Array | None = None  #: S is not computed as a whole
 
     def own(self) -> Array:
         """Return the diagonal blocks (m, 2, 2) of S."""
