@@ -22,7 +22,8 @@ from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, OdometryErrors)
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.offline_matching import Received
-from fej_slam_ros.core.records import NS, Odometry, Scan, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import (
+    NS, Odometry, PriorMap, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
@@ -33,7 +34,6 @@ MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 #: Maximum number of times that observations without IDs are matched, and the change of the
 #: logarithm of a factor below which they are not matched again.
 MAX_ROUNDS, MAX_CHANGE = 8, 0.05
-
 
 #: Sources of scales: without ground truth, innovations over some seconds and, of what these do not
 #: determine, single ones.
@@ -174,38 +174,41 @@ def _estimate(
         return estimates
     beginning = _beginning(records, arguments.seconds)
     with tqdm(desc='search', unit='run', disable=None) as bar:
-        return _with_innovations(estimates, rest, values, beginning, bar.update)
+        return _with_innovations(
+            estimates, rest, values, beginning, prior_map(settings), bar.update)
 
 
 def _with_innovations(
     estimates: Estimates, kinds: Sequence[str], values: Mapping[str, object],
-    records: Sequence[Received], on_run: Callable[[], object],
+    records: Sequence[Received], prior: PriorMap | None, on_run: Callable[[], object],
 ) -> Estimates:
     """Return estimates with those of other kinds of noise, over some seconds if possible."""
-    def likeliest(records: Sequence[Received], kinds: Sequence[str]) -> dict[str, NoiseScale]:
-        settings = parsed(_corrected(values, estimates))
-        return most_likely_scales(
-            settings.estimation, records, kinds, prior_map(settings), on_run)
-
     start = dict.fromkeys(kinds, 1.0)
     if 'odometry' in kinds:
-        found = likeliest(with_scans_apart(records, ERROR_WINDOW), kinds)
+        found = most_likely_scales(
+            _estimation(values, estimates), with_scans_apart(records, ERROR_WINDOW), kinds, prior,
+            on_run)
         if found['odometry'].is_known():
             estimates = {**estimates, 'odometry': _over_windows(found['odometry'])}
             start = {kind: scale.scale for kind, scale in found.items()}
-    observed = [kind for kind in kinds if kind != 'odometry']
+    observed = {kind: start[kind] for kind in kinds if kind != 'odometry'}
     if is_known(estimates, 'odometry') and observed:
-        settings = parsed(_corrected(values, estimates))
-        for kind, scale in scales_over_windows(
-                settings.estimation, records, {kind: start[kind] for kind in observed},
-                prior_map(settings), on_run).items():
-            estimates = {**estimates, kind: _over_windows(scale)}
+        found = scales_over_windows(
+            _estimation(values, estimates), records, observed, prior, on_run)
+        estimates = {**estimates, **{
+            kind: _over_windows(scale) for kind, scale in found.items()}}
     rest = [kind for kind in kinds if not is_known(estimates, kind)]
     if rest:
+        found = most_likely_scales(
+            _estimation(values, estimates), records, rest, prior, on_run)
         estimates = {**estimates, **{
-            kind: ScaleEstimate(INNOVATIONS, {'': scale})
-            for kind, scale in likeliest(records, rest).items()}}
+            kind: ScaleEstimate(INNOVATIONS, {'': scale}) for kind, scale in found.items()}}
     return estimates
+
+
+def _estimation(values: Mapping[str, object], estimates: Estimates) -> Settings:
+    """Return the settings with the noise scales that are known."""
+    return parsed(_corrected(values, estimates)).estimation
 
 
 def _over_windows(scale: NoiseScale) -> ScaleEstimate:

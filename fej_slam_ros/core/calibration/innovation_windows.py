@@ -92,12 +92,12 @@ class _Window:
         """Return the numerator and the denominator of q by kind."""
         d = 2 * len(self.pairs)
         e, V, R = np.zeros(d), np.zeros((d, d)), {kind: np.zeros((d, d)) for kind in kinds}
-        for places, innovation, S in self.updates:
-            of_update = places.ravel()
-            # Two sensors may observe a landmark at one stamp: then places occur twice.
+        for states, innovation, S in self.updates:
+            of_update = states.ravel()
+            # Two sensors may observe a landmark at one stamp: then states occur twice.
             np.add.at(e, of_update, innovation.r)
             np.add.at(V, np.ix_(of_update, of_update), S + np.tril(S, -1).T)
-            for own, association in zip(places, innovation.used):
+            for own, association in zip(states, innovation.used):
                 kind = _kind(association)
                 if kind in R:
                     R[kind][np.ix_(own, own)] += association.observation.R

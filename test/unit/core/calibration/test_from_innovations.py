@@ -13,24 +13,9 @@ from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, run, with_scales)
 from fej_slam_ros.core.chi_square import chi_square_band
 from fej_slam_ros.core.estimator import BrokenEstimateError
-from fej_slam_ros.core.records import Odometry, RobotScan, Scan
-from fej_slam_ros.ros.session import simulation
+from fej_slam_ros.core.records import Odometry, Scan
+from helpers.calibration import error, received, simulated
 from helpers.records import claiming, odometry, scan, team
-
-
-def simulated(seed, **changes):
-    """Return simulated measurements without ground truth."""
-    records = simulation.parse({'loops': 1, 'landmarks': 30, 'seed': seed, **changes}).records()
-    return [r for r in records if isinstance(r, (Odometry, Scan, RobotScan))]
-
-
-def received(records):
-    return [(record, None) for record in records]
-
-
-def error(found, true):
-    """Return the error of a factor in standard errors."""
-    return abs(math.log(found.scale / true)) / found.relative_error
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])

@@ -12,25 +12,15 @@ from fej_slam_ros.core.calibration.from_innovations import most_likely_scales, w
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
-from fej_slam_ros.ros.session import simulation
+from helpers.calibration import error, received, simulated
 from helpers.records import claiming, odometry, scan, team
 
-#: Number of messages for which an error persists, and number of messages in 5 s.
+#: Number of messages for which an error persists, and number of messages in 5 s at 5 Hz.
 LENGTH, WINDOW = 12, 25
 #: Factor on the standard deviation of a sum over 5 s, for blocks of equal errors that begin at any
 #: message: the covariance of two errors k messages apart is that of one times 1 - k / LENGTH.
 FACTOR = math.sqrt(1.0 + 2.0 * sum(
     (1.0 - k / WINDOW) * (1.0 - k / LENGTH) for k in range(1, LENGTH)))
-
-
-def simulated(seed, **changes):
-    """Return simulated measurements at 5 Hz without ground truth."""
-    records = simulation.parse({'rate': 5, 'landmarks': 30, 'seed': seed, **changes}).records()
-    return [r for r in records if isinstance(r, (Odometry, Scan, RobotScan))]
-
-
-def received(records):
-    return [(record, None) for record in records]
 
 
 def errors_in_blocks(rng, sigma):
@@ -79,11 +69,6 @@ def with_persistent_observation_errors(records, sigma):
     return [*map(with_errors, records)]
 
 
-def error(found, true):
-    """Return the error of a factor in standard errors."""
-    return abs(math.log(found.scale / true)) / found.relative_error
-
-
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_factors_of_independent_errors_equal_those_of_the_simulation(seed):
     records = received(claiming(
@@ -98,7 +83,8 @@ def test_factors_of_independent_errors_equal_those_of_the_simulation(seed):
 
 def test_errors_of_odometry_that_persist_count_over_5_s():
     records = received(with_persistent_odometry_errors(
-        simulated(1, loops=6, odometry_sigma=[1e-6, 1e-6, 1e-6], landmark_sigma=[0.03, 0.03]),
+        simulated(
+            1, loops=6, rate=5, odometry_sigma=[1e-6, 1e-6, 1e-6], landmark_sigma=[0.03, 0.03]),
         np.array([0.03, 0.03, 0.01])))
     kinds = ['odometry', 'landmark']
 
@@ -112,7 +98,7 @@ def test_errors_of_odometry_that_persist_count_over_5_s():
 
 def test_errors_of_observations_that_persist_count_over_5_s_but_for_what_the_map_follows():
     records = received(with_persistent_observation_errors(
-        simulated(2, loops=6, landmark_sigma=[1e-6, 1e-6]), 0.1))
+        simulated(2, loops=6, rate=5, landmark_sigma=[1e-6, 1e-6]), 0.1))
 
     over_5_s = scales_over_windows(team(), records, {'landmark': 1.0})['landmark']
     single = most_likely_scales(team(), records, ['landmark'])['landmark']

@@ -114,14 +114,20 @@ def turning_odometry(rate):
         for ms in range(0, 200, 10)]
 
 
+def turning_scan(rate, times, **changes):
+    """Return a scan of a robot that turns on the spot [rad/s], of beams at some times [s]."""
+    beams = len(times)
+    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
+    return replace(
+        scan_of(POSTS, beams=beams),
+        ranges=true_ranges(poses, scan_angles(beams), POSTS, NO_WALLS), **changes)
+
+
 def test_beams_in_the_reverse_order_of_time_are_corrected_for_the_motion_of_the_robot():
     # As of RPLIDAR, of a robot that turns by 1 rad/s: the last beam is measured first.
     beams, duration, rate = 720, 0.1, 1.0
-    times, angles = duration * np.arange(beams)[::-1] / (beams - 1), scan_angles(beams)
-    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
-    scan = replace(
-        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS),
-        time_increment=duration / (beams - 1))
+    times = duration * np.arange(beams)[::-1] / (beams - 1)
+    scan = turning_scan(rate, times, time_increment=duration / (beams - 1))
 
     message, = run(
         session_of(reversed_beams=True), *turning_odometry(rate),
@@ -137,10 +143,8 @@ def test_scans_without_right_times_are_corrected_by_a_given_duration(time_increm
     # Of a robot that turns by 1 rad/s; the times are those of drivers (ROBOTIS-GIT/turtlebot3,
     # issue 634; EAIBOT/ydlidar, issue 31).
     beams, duration, rate = 720, 0.1, 1.0
-    angles, times = scan_angles(beams), duration / beams * np.arange(beams)
-    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
-    scan = replace(
-        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS))
+    times = duration / beams * np.arange(beams)
+    scan = turning_scan(rate, times)
     session = session_of(scan_duration=duration)
 
     message, = run(
@@ -157,11 +161,8 @@ def test_scans_without_right_times_are_corrected_by_a_given_duration(time_increm
 def test_landmarks_of_scans_that_are_stamped_at_their_ends_are_seen_at_their_stamps():
     # Of a robot that turns by 1 rad/s, in the time up to the stamp of 0.1 s.
     beams, duration, rate = 720, 0.1, 1.0
-    angles, times = scan_angles(beams), duration * np.arange(beams) / (beams - 1)
-    poses = np.column_stack([np.zeros(beams), np.zeros(beams), rate * times])
-    scan = replace(
-        scan_of(POSTS, beams=beams), ranges=true_ranges(poses, angles, POSTS, NO_WALLS),
-        time_increment=duration / (beams - 1))
+    times = duration * np.arange(beams) / (beams - 1)
+    scan = turning_scan(rate, times, time_increment=duration / (beams - 1))
 
     message, = run(
         session_of(stamped_at_end=True), *turning_odometry(rate),
