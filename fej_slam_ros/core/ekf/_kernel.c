@@ -25,15 +25,14 @@
 #define STATES 5
 /* Rows of a few columns that are computed together, so that the compiler uses vectors. */
 #define CHUNK 64
+/* Numbers in a line of the cache. */
+#define LINE 8
 
 typedef void blas_dgemm(
     char *, char *, int *, int *, int *, double *, double *, int *, double *, int *, double *,
     double *, int *);
 typedef void blas_dgemv(
     char *, int *, int *, double *, double *, int *, double *, int *, double *, double *, int *);
-typedef void blas_dsyr2k(
-    char *, char *, int *, int *, double *, double *, int *, double *, int *, double *, double *,
-    int *);
 typedef void blas_dsyrk(
     char *, char *, int *, int *, double *, double *, int *, double *, double *, int *);
 typedef void blas_dtrsm(
@@ -43,7 +42,6 @@ typedef void lapack_dpotrf(char *, int *, double *, int *, int *);
 
 static blas_dgemm *dgemm;
 static blas_dgemv *dgemv;
-static blas_dsyr2k *dsyr2k;
 static blas_dsyrk *dsyrk;
 static blas_dtrsm *dtrsm;
 static blas_dtrsv *dtrsv;
@@ -475,6 +473,40 @@ static PyObject *H(PyObject *module, PyObject *const *arguments, Py_ssize_t give
     return results(&a);
 }
 
+/* Copy full columns `states` of a symmetric matrix from its lower triangle, of `rows` rows each. */
+static void copy_columns(
+    const double *lower, Py_ssize_t capacity, Py_ssize_t rows, const Py_ssize_t *states,
+    Py_ssize_t k, double *columns)
+{
+    /* The parts above the diagonal lie across the columns of the triangle: by lines of the cache. */
+    for (Py_ssize_t line = 0; line < rows; line += LINE)
+        for (Py_ssize_t c = 0; c < k; c++) {
+            Py_ssize_t j = states[c], stop = j < line + LINE ? j : line + LINE;
+            for (Py_ssize_t i = line; i < stop; i++)
+                columns[c * rows + i] = lower[i * capacity + j];
+        }
+    for (Py_ssize_t c = 0; c < k; c++) {
+        Py_ssize_t j = states[c];
+        memcpy(columns + c * rows + j, lower + j * capacity + j, (rows - j) * sizeof(double));
+    }
+}
+
+/* columns(lower, indices) */
+static PyObject *columns(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "mi"))
+        return NULL;
+    Py_ssize_t capacity = length(&a, 0, 0), k = length(&a, 1, 0);
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && are_indices(&a, 1, capacity)))
+        return NULL;
+    double *full = matrix(&a, capacity, k, 1);
+    if (!full)
+        return release(&a);
+    copy_columns(data(&a, 0), capacity, capacity, PyArray_DATA(a.array[1]), k, full);
+    return results(&a);
+}
+
 /*
  * Number the states in `observed` in ascending order; return how many there are. `states` and
  * `column_of`, which is zero at the start, have room for n.
@@ -521,13 +553,7 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
         return release(&a);
     }
 
-    for (Py_ssize_t c = 0; c < k; c++) {
-        Py_ssize_t j = states[c];
-        double *column = P + c * n;
-        for (Py_ssize_t i = 0; i < j; i++)
-            column[i] = lower[i * capacity + j];
-        memcpy(column + j, lower + j * capacity + j, (n - j) * sizeof(double));
-    }
+    copy_columns(lower, capacity, n, states, k, P);
     memset(H, 0, rows * k * sizeof(double));
     for (Py_ssize_t i = 0; i < rows; i++)
         for (Py_ssize_t j = 0; j < d; j++)
@@ -636,27 +662,6 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
     Py_RETURN_NONE;
 }
 
-/* add_symmetric_product(lower, V, B, n) */
-static PyObject *add_symmetric_product(
-    PyObject *module, PyObject *const *arguments, Py_ssize_t given)
-{
-    Arrays a;
-    if (!take(&a, arguments, given, "mffn"))
-        return NULL;
-    double *lower = data(&a, 0), *V = data(&a, 1), *B = data(&a, 2), one = 1.0;
-    int capacity = (int)length(&a, 0, 0), stored = (int)length(&a, 1, 0);
-    int k = (int)length(&a, 1, 1), n = (int)a.number[0];
-    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && is_matrix(&a, 2, stored, k)
-                 && n >= 0 && n <= capacity && n <= stored))
-        return NULL;
-
-    Py_BEGIN_ALLOW_THREADS
-    dsyr2k("L", "N", &n, &k, &one, V, &stored, B, &stored, &one, lower, &capacity);
-    Py_END_ALLOW_THREADS
-    release(&a);
-    Py_RETURN_NONE;
-}
-
 /* retracted(x, dx, headings) */
 static PyObject *retracted(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
@@ -696,8 +701,8 @@ static int find(const char *module, const char *routine, void **pointer)
 static PyMethodDef functions[] = {
     FUNCTION(moved), FUNCTION(Phi), FUNCTION(propagated), FUNCTION(diagonal_block),
     FUNCTION(settle), FUNCTION(stacked), FUNCTION(observed_states), FUNCTION(h), FUNCTION(H),
-    FUNCTION(project), FUNCTION(squared_distances), FUNCTION(correction),
-    FUNCTION(subtract_product), FUNCTION(add_symmetric_product), FUNCTION(retracted),
+    FUNCTION(columns), FUNCTION(project), FUNCTION(squared_distances), FUNCTION(correction),
+    FUNCTION(subtract_product), FUNCTION(retracted),
     {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {
@@ -708,7 +713,6 @@ PyMODINIT_FUNC PyInit__kernel(void)
     const char *blas = "scipy.linalg.cython_blas", *lapack = "scipy.linalg.cython_lapack";
     import_array();
     if (!find(blas, "dgemm", (void **)&dgemm) || !find(blas, "dgemv", (void **)&dgemv)
-            || !find(blas, "dsyr2k", (void **)&dsyr2k)
             || !find(blas, "dsyrk", (void **)&dsyrk)
             || !find(blas, "dtrsm", (void **)&dtrsm)
             || !find(blas, "dtrsv", (void **)&dtrsv)

@@ -9,20 +9,27 @@ A step of a small map takes most of its time in numpy's calls, not in its flops.
 
 from fej_slam_ros.core.ekf import _kernel, numpy_kernel
 from fej_slam_ros.core.ekf._kernel import (
-    add_symmetric_product, correction, diagonal_block, H, h, moved, observed_states, Phi,
-    propagated, retracted, settle, squared_distances, stacked, subtract_product)
+    correction, diagonal_block, H, h, moved, observed_states, Phi, propagated, retracted, settle,
+    squared_distances, stacked, subtract_product)
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS
 
 __all__ = [
-    'NAME', 'STORAGE_GROWTH', 'H', 'Phi', 'add_symmetric_product', 'correction', 'diagonal_block',
-    'h', 'moved', 'observed_states', 'project', 'propagated', 'retracted', 'settle',
-    'squared_distances', 'stacked', 'subtract_product']
+    'NAME', 'STORAGE_GROWTH', 'H', 'Phi', 'columns', 'correction', 'diagonal_block', 'h', 'moved',
+    'observed_states', 'project', 'propagated', 'retracted', 'settle', 'squared_distances',
+    'stacked', 'subtract_product']
 
 NAME = 'compiled'
 #: Share of its rows by which the storage of P grows: an update costs the rows in use only, so that
 #: storage is copied rarely.
 STORAGE_GROWTH = 0.25
+
+
+def columns(lower: Array, indices: Indices) -> Array:
+    """Return full columns of P; in pieces, by the other kernel, where they are large."""
+    if len(indices) * len(lower) > PIECE_ELEMENTS:
+        return numpy_kernel.columns(lower, indices)
+    return _kernel.columns(lower, indices)
 
 
 def project(

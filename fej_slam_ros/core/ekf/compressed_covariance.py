@@ -138,9 +138,9 @@ class CompressedCovariance:
         core.lower[proxies, proxies] = 1.0
         self._core_index[states] = entered
         self._add_combinations(C_added)
-        self._members = np.append(self._members, states)
-        self._proxies = np.append(self._proxies, proxies)
-        self._dg = np.append(self._dg, np.zeros(g))
+        self._members = np.concatenate([self._members, states])
+        self._proxies = np.concatenate([self._proxies, proxies])
+        self._dg = np.concatenate([self._dg, np.zeros(g)])
         return x_hat
 
     def current_estimates(self, x: Array, indices: Indices) -> Array:
@@ -330,9 +330,9 @@ class CompressedCovariance:
 
     def _add_member(self, in_core: Slot) -> Slot:
         """Return the slot, among all states, of a new variable of the core."""
-        slot = self._whole.insert(np.zeros((in_core.size, in_core.size)))
-        self._members = np.append(self._members, slot.indices)
-        self._core_index = np.append(self._core_index, in_core.indices)
+        slot = Slot(self._whole.matrix.append(in_core.size), in_core.size)
+        self._members = np.concatenate([self._members, slot.indices])
+        self._core_index = np.concatenate([self._core_index, in_core.indices])
         return slot
 
 

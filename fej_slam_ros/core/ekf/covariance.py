@@ -13,6 +13,7 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg.blas import dsyr2k
 
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
@@ -186,8 +187,7 @@ class Covariance:
         V[:self.dimension] = A.V
         # A P A^T = P + V B^T + B V^T with B = P E + 1/2 V E^T P E.
         B = PE + 0.5 * V @ PE[A.columns]
-        KERNEL.add_symmetric_product(
-            self.matrix.lower, np.asfortranarray(V), np.asfortranarray(B), self.dimension)
+        dsyr2k(1.0, V, B, beta=1.0, c=self.matrix.lower, lower=1, overwrite_c=1)
 
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:

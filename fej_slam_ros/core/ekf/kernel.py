@@ -55,6 +55,9 @@ class Kernel(Protocol):
     def H(self, x: Array) -> Array:
         """Return their Jacobians."""
 
+    def columns(self, lower: Array, indices: Indices) -> Array:
+        """Return full columns of a symmetric matrix."""
+
     def project(
         self, lower: Array, n: int, observed: Indices, blocks: Array, R: Array
     ) -> tuple[Array, Array, Array, Array]:
@@ -70,9 +73,6 @@ class Kernel(Protocol):
 
     def subtract_product(self, lower: Array, W: Array, n: int) -> None:
         """Subtract W W^T from a triangle in place."""
-
-    def add_symmetric_product(self, lower: Array, V: Array, B: Array, n: int) -> None:
-        """Add V B^T + B V^T to a triangle in place."""
 
     def retracted(self, x: Array, dx: Array, headings: Indices) -> Array:
         """Return x + dx with wrapped headings."""

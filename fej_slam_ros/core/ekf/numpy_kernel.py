@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import math
 
 import numpy as np
-from scipy.linalg.blas import dgemm, dsyr2k, dsyrk, dtrsm, dtrsv
+from scipy.linalg.blas import dgemm, dsyrk, dtrsm, dtrsv
 from scipy.linalg.lapack import dpotrf
 
 from fej_slam_ros.core import chi_square, models
@@ -178,11 +178,6 @@ def correction(
 def subtract_product(lower: Array, W: Array, n: int) -> None:  # noqa: ARG001
     """Subtract W W^T of W (capacity, k), zero beyond row n, in place: k n^2 flops."""
     dsyrk(-1.0, W, beta=1.0, c=lower, lower=1, overwrite_c=1)
-
-
-def add_symmetric_product(lower: Array, V: Array, B: Array, n: int) -> None:  # noqa: ARG001
-    """Add V B^T + B V^T of V, B (capacity, k), zero beyond row n, in place: 2 k n^2 flops."""
-    dsyr2k(1.0, V, B, beta=1.0, c=lower, lower=1, overwrite_c=1)
 
 
 def retracted(x: Array, dx: Array, headings: Indices) -> Array:

@@ -301,8 +301,8 @@ class JointState(VariableSet):
 
     def _append(self, variable: Variable, value: Array) -> None:
         self._add(variable)
-        self.x_hat = np.append(self.x_hat, value)
-        self.x_first = np.append(self.x_first, value)
+        self.x_hat = np.concatenate([self.x_hat, value])
+        self.x_first = np.concatenate([self.x_first, value])
 
 
 def part_of(state: JointState, variables: Sequence[Variable]) -> JointState:

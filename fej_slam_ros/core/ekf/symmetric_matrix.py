@@ -14,7 +14,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from fej_slam_ros.core.ekf import numpy_kernel
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS, PIECE_FLOPS, ranges
@@ -112,7 +111,7 @@ class SymmetricMatrix:
         Phi, block = self._propagated[start]
         own = slice(start, start + len(Phi))
         states = np.arange(own.start, own.stop)
-        P = numpy_kernel.columns(self._lower, states)[:self.dimension] @ Phi.T
+        P = KERNEL.columns(self._lower, states)[:self.dimension] @ Phi.T
         for other, (Phi_other, _) in self._propagated.items():
             rows = slice(other, other + len(Phi_other))
             P[rows] = Phi_other @ P[rows]
@@ -159,7 +158,7 @@ class SymmetricMatrix:
 
     def columns(self, indices: Indices) -> Array:
         """Return full columns, (capacity, k) in Fortran order, zero beyond row n."""
-        return numpy_kernel.columns(self.lower, indices)
+        return KERNEL.columns(self.lower, indices)
 
     def replace_columns(self, indices: Indices, full: Array) -> None:
         """Replace columns, and the rows of the same indices, by columns (capacity, k)."""

@@ -171,19 +171,16 @@ def test_updates_are_equal(compiled, rng, n, m, d):
     assert_allclose(np.tril(result[0][-1][:n, :n]), np.tril(P - K @ H @ P), rtol=1e-9, atol=1e-9)
 
 
-def test_symmetric_products_are_equal(compiled, rng):
-    P, lower = covariance(rng, 9, 12)
-    V, B = (np.zeros((12, 4), order='F') for _ in range(2))
-    V[:9], B[:9] = rng.normal(size=(2, 9, 4))
+# Parts of columns above the diagonal that end within, at and beyond a line of the cache.
+@pytest.mark.parametrize('indices', [[0, 7, 8, 9], [19, 3, 3], []])
+def test_full_columns_are_equal(compiled, rng, indices):
+    P, lower = covariance(rng, 20, 23)
 
-    result = []
     for one in (compiled, numpy_kernel):
-        matrix = lower.copy('F')
-        one.add_symmetric_product(matrix, V, B, 9)
-        result.append(matrix)
-
-    assert_equal_results(*result)
-    assert_allclose(result[0][:9, :9], np.tril(P + V[:9] @ B[:9].T + B[:9] @ V[:9].T), **TOLERANCE)
+        full = one.columns(lower, np.array(indices, np.intp))
+        assert full.flags.f_contiguous
+        assert_array_equal(full[:20], P[:, indices])
+        assert not full[20:].any()
 
 
 def test_columns_of_the_reference_are_updated_alike(compiled, rng):
@@ -301,9 +298,7 @@ STATES, JACOBIAN, R = np.array([[0, 1, 2, 2, 3]]), np.zeros((1, 2, 5)), np.zeros
     ('correction', (FULL, np.zeros((2, 4)), np.eye(3), np.zeros(2), 4)),
     ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 5)),
     ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 5)),
-    ('add_symmetric_product', (FULL, FULL, FULL, 5)),
-    ('add_symmetric_product', (FULL, FULL[:3], FULL[:3], 4)),
-    ('add_symmetric_product', (FULL, FULL, FULL[:, :2], 4)),
+    ('columns', (FULL[:, :3], [0])), ('columns', (FULL, [4])), ('columns', (FULL, [-1])),
     ('retracted', (POSE, np.zeros(2), [2])), ('retracted', (POSE, POSE, [3])),
     ('retracted', (POSE, POSE, [-1]))])
 def test_arrays_of_other_shapes_are_refused(compiled, function, arguments):
