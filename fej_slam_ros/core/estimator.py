@@ -60,6 +60,7 @@ class Estimator(TeamInput):
     settings : parameters of the estimation, with the robots to begin with; an impossible value is
         a UsageError
     prior : landmarks known in ``map`` beforehand, if any
+    innovations : statistics of innovations, to which those of this estimator are added
 
     Attributes
     ----------
@@ -78,7 +79,10 @@ class Estimator(TeamInput):
 
     settings: Settings
 
-    def __init__(self, settings: Settings, prior: PriorMap | None = None) -> None:
+    def __init__(
+        self, settings: Settings, prior: PriorMap | None = None,
+        innovations: InnovationMonitor | None = None,
+    ) -> None:
         check_values(settings)
         super().__init__(settings)
         # Ground truth lists landmarks by ID.
@@ -87,7 +91,7 @@ class Estimator(TeamInput):
         self.groups = FrameGroups(settings, self.truth, prior)
         lowest_id = NO_ID if prior is None else min([NO_ID, *prior.ids])
         self.landmark_manager = LandmarkManager(lowest_id)
-        self.innovations = InnovationMonitor()
+        self.innovations = innovations or InnovationMonitor()
         self._joiner = TeamJoiner(
             settings, self.groups, self.landmark_manager, self.statistics, self._pose_priors)
         self._quarantine = Quarantine(self.groups, self.statistics, self.innovations.lost_robots)

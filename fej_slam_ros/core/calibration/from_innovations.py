@@ -69,10 +69,7 @@ def run(
     innovations: InnovationMonitor | None = None,
 ) -> tuple[Estimator, list[Rejection]]:
     """Return an estimator after all records, and the rejected observations."""
-    estimator = Estimator(settings, prior)
-    if innovations is not None:
-        innovations.nis = estimator.innovations.nis
-        estimator.innovations = innovations
+    estimator = Estimator(settings, prior, innovations)
     rejected: list[Rejection] = []
     for _ in steps(estimator, records):
         rejected += estimator.statistics.rejections

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.calibration.innovation_windows import InnovationWindows
 from fej_slam_ros.core.data_association.failure_detection import (
     LostRobotDetector, ScanMatchStatistics)
 from fej_slam_ros.core.ekf.gating import ScanGateStatistics
@@ -129,6 +130,15 @@ def test_a_kidnapped_robot_is_reported_lost_and_restarts_in_its_own_frame(kidnap
     assert {pose.robot: pose.frame for pose in results[-1].poses} == {'r1': 'r1/map', 'r2': 'map'}
     assert estimator.statistics.restart_reasons['r1'].startswith('likely lost, ')
     assert 'more scans must fit the map of its own frame' in estimator.groups.not_in_map['r1']
+
+
+def test_a_kidnapped_robot_restarts_also_where_innovations_are_summed_over_windows(kidnapping):
+    estimator = Estimator(TEAM, innovations=InnovationWindows())
+
+    steps = [*estimator.run(record for record in kidnapping if record.stamp <= 24 * NS)]
+
+    assert steps[-1].stamp == 24 * NS
+    assert estimator.statistics.restart_reasons['r1'].startswith('likely lost, ')
 
 
 def test_a_kidnapped_robot_joins_again(kidnapping):
