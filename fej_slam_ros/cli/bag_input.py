@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Messages of a bag for the robots of a team, which it is checked to have."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 import logging
 from pathlib import Path
@@ -25,7 +25,7 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
     Raises
     ------
     UserError
-        The bag has odometry of no robot of the settings.
+        The bag has odometry of no robot of the settings, or only messages of another type.
 
     """
     team = [robot.name for robot in settings.robots]
@@ -42,12 +42,29 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
                 f'{bag} has messages on none of the topics {", ".join(absent)}, {found}'
                 + (f', or name its robots ({others}) in the parameter robots' if others else ''))
         logging.getLogger(__name__).warning('%s has no %s, %s', bag, ', '.join(absent), found)
+    faults = _wrong_types(bag, team, topics)
+    wrong = [faults[f'{robot}/odom'] for robot in team if f'{robot}/odom' in faults]
+    if len(absent) + len(wrong) == len(team):
+        raise UserError(wrong[0])
+    for fault in faults.values():
+        logging.getLogger(__name__).warning(fault)
     for robot in team:
         computed = front_end_topics.cure(topics, robot)
         if computed and f'{robot}/landmarks' not in topics:
             logging.getLogger(__name__).warning(
                 '%s has no %s/landmarks: %s', bag, robot, computed)
     return bags.read_with_bar(bag, names, topics)
+
+
+def _wrong_types(
+    bag: Path, team: Iterable[str], topics: Mapping[str, bags.BagTopic]
+) -> dict[str, str]:
+    """Return a sentence about each input topic of a team with messages of another type."""
+    return {
+        name: f'{bag} has {name} of the type {topics[name].type_name}, which is not used: record'
+        f' {expected} on it, or give the topic that has it with --remap'
+        for name, expected in expected_topics(team).items()
+        if name in topics and topics[name].messages and topics[name].type_name != expected}
 
 
 def has_landmarks_without_ids(bag: Path, settings: CommonSettings, names: TopicNames) -> bool:

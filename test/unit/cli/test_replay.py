@@ -260,6 +260,32 @@ def test_topics_without_messages_are_as_missing_topics(replay, places):
         replay(None), 1, 'none of the topics r1/odom, r2/odom', 'record nav_msgs/msg/Odometry on')
 
 
+def text(message):
+    """Return a message of another type on the topic of a message."""
+    return replace(
+        raw(message.topic, TYPES.types['std_msgs/msg/String'](data='')), received=message.received)
+
+
+def test_a_topic_of_another_type_is_named(replay, places, summary, caplog):
+    status, _, _ = replay([
+        text(message) if message.topic == 'r2/landmarks' else message for message in MEETING])
+
+    assert status == 0
+    (warning,) = caplog.messages
+    assert warning == (
+        f'{places[0]} has r2/landmarks of the type std_msgs/msg/String, which is not used: record'
+        ' sensor_msgs/msg/PointCloud2 on it, or give the topic that has it with --remap')
+    assert summary()['counts']['bad_message'] > 0
+
+
+def test_odometry_of_another_type_is_reported_as_none(replay):
+    texts = [text(message) if message.topic.endswith('odom') else message for message in MEETING]
+
+    assert_one_sentence(
+        replay(texts), 1, 'has r1/odom of the type std_msgs/msg/String',
+        'record nav_msgs/msg/Odometry on it')
+
+
 def test_a_missing_bag_is_reported(replay, places):
     assert_one_sentence(replay(None), 1, f'{places[0]} does not exist')
 
