@@ -126,7 +126,8 @@ def unknown_parameter(
 
 def _meant(name: str, known: Iterable[str]) -> list[str]:
     """Return known names that a misspelled one may stand for, the nearest first."""
-    owner, _, field = name.rpartition('.')
+    # In ROS 1, a slash was where ROS 2 has a dot.
+    owner, _, field = name.replace('/', '.').rpartition('.')
     # Names of robots are left out, since two names with the same long one are always alike.
     by_field = {other.rpartition('.')[2]: other for other in sorted(
         known, key=lambda other: other.rpartition('.')[0] == owner)}
@@ -197,7 +198,8 @@ def _refuse_names(parameter: str, value: object) -> None:
                 raise UsageError(
                     f'parameter {parameter!r} contains {_shown(name)}, a name of {len(name):,}'
                     f' characters: give each robot a name of at most {MAX_NAME}')
-            valid = re.sub(r'\W', '_', name, flags=re.ASCII)
+            # ROS accepts no remapping rule for a name with two underscores in a row.
+            valid = '_'.join(re.findall('[A-Za-z0-9]+', name))
             valid = valid if valid[:1].isalpha() else f'robot_{valid}'.rstrip('_')
             raise UsageError(
                 f'parameter {parameter!r} contains {name!r}: a robot is a namespace of topics, and'
