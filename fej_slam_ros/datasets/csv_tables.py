@@ -173,9 +173,12 @@ def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
         try:
             for cells in reader:
                 yield parse(cells)
-        except (KeyError, ValueError, csv.Error) as error:
-            what = f'it lacks the column {error}' if isinstance(error, KeyError) else error
-            raise UserError(f'{path}: correct line {reader.line_num}: {what}') from None
+        except KeyError as column:
+            raise UserError(
+                f'{path}: correct its first line, which lacks the column {column}:'
+                f' {",".join(reader.fieldnames or ())[:80]!r}') from None
+        except (ValueError, csv.Error) as error:
+            raise UserError(f'{path}: correct line {reader.line_num}: {error}') from None
 
 
 def _event(cells: Cells) -> Event:

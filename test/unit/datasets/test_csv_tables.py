@@ -155,8 +155,6 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
 
 
 @pytest.mark.parametrize(('head', 'row', 'reason'), [
-    ('robot,stamp_ns,id,x,y', 'a,1,1,0,0', "it lacks the column 'var_x'"),
-    ('robot,stamp_ns,x,y,var_x,cov_xy,var_y', 'a,1,0,0,1,0,1', "it lacks the column 'id'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1e999999999,1,0,0,1,0,1', 'time is'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,2.0,0,0,1,0,1',
@@ -164,11 +162,27 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,-1,1,0,0,1,0,1', 'its time is -1000000000 ns'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', 'its time is 30*0 ns')])
-def test_a_column_that_is_missing_or_wrong_is_named(tmp_path, head, row, reason):
+def test_a_column_that_is_wrong_is_named(tmp_path, head, row, reason):
     folder = write(tmp_path, odometry=ODOMETRY, landmarks=f'{head}\n{row}\n')
 
     with pytest.raises(UserError, match=rf'landmarks\.csv: correct line 2: {reason}'):
         csv_tables.read(folder)
+
+
+@pytest.mark.parametrize(('head', 'row', 'column'), [
+    ('robot,stamp_ns,id,x,y', 'a,1,1,0,0', 'var_x'),
+    ('robot,stamp_ns,x,y,var_x,cov_xy,var_y', 'a,1,0,0,1,0,1', 'id'),
+    ('robot;stamp_ns;id;x;y', 'a;1;1;0;0', 'id'),
+    ('a,1,1,0,0', 'a,2,1,0,0', 'id')])
+def test_a_column_that_is_missing_is_named_with_the_first_line(tmp_path, head, row, column):
+    folder = write(tmp_path, odometry=ODOMETRY, landmarks=f'{head}\n{row}\n')
+
+    with pytest.raises(UserError) as rejected:
+        csv_tables.read(folder)
+
+    assert str(rejected.value) == (
+        f'{folder / "landmarks.csv"}: correct its first line, which lacks the column {column!r}:'
+        f' {head!r}')
 
 
 @pytest.mark.parametrize('row', ['b,1,a,1,2,.1,0,.2', 'a,1,b,1,2,.1,0,.2'])
