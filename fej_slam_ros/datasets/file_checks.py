@@ -25,9 +25,10 @@ def require_folder(folder: Path, content: str) -> None:
 @contextmanager
 def errors_name(path: Path) -> Iterator[None]:
     """Require a file, and name it in the message of any `UserError` raised in this context."""
+    if not path.is_file():
+        raise UserError(
+            f'{path}: there is no such file; give the folder that has it, or fetch the file')
     try:
-        if not path.is_file():
-            raise UserError('there is no such file')
         yield
     except UserError as error:
         raise UserError(f'{path}: {error}; fetch the file again') from error

@@ -41,7 +41,11 @@ def convert(arguments: Namespace) -> None:
     try:
         team = conversion.trajectories(graph, round(arguments.period * NS))
     except UserError as error:
-        raise UserError(f'{arguments.input}: {error}') from None
+        # Of what is no graph, such as a picture, each line begins with another word.
+        others = ', '.join(sorted(name for name in unused if name.isprintable())[:6])
+        raise UserError(
+            f'{arguments.input}: {error}' + (f'; not used: lines of {others}' if others else '')
+        ) from None
     records = conversion.records(graph, team, unused)
     write(
         records, conversion.settings(graph, team), arguments, _report(graph, team, unused))

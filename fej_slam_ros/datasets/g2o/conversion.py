@@ -70,8 +70,8 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
         increments[robot] = [edges[pair] for pair in pairwise(vertices)]
     if not any(increments.values()):
         raise UserError(
-            'it has no odometry: relative poses are needed, each from a pose to one with a higher'
-            ' number')
+            'it has no odometry: relative poses in the plane are needed, each from a pose to one'
+            ' with a higher number')
     used = sum(map(len, increments.values()))
     return Trajectories(poses, increments, names, len(graph.increments) - used)
 

@@ -53,7 +53,8 @@ def read(path: Path, noise: str) -> tuple[Graph, Counter[str]]:
     try:
         lines = path.read_text(encoding='utf-8-sig', errors='replace').splitlines()
     except OSError as error:
-        raise UserError(f'cannot read {path}: {error.strerror}') from None
+        raise UserError(
+            f'cannot read {path}: {error.strerror}; give the path of a graph file') from None
     reader = _Reader(NOISES[noise])
     try:
         for line in lines:

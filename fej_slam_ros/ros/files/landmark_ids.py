@@ -53,7 +53,9 @@ def _read(path: Path) -> dict[str, int]:
     try:
         ids = json.loads(path.read_text(encoding='utf-8'))
     except (OSError, ValueError, RecursionError) as error:
-        raise UserError(f'cannot read the IDs of landmarks in {path}: {error}') from None
+        raise UserError(
+            f'cannot read the IDs of landmarks in {path}: {error}; give a JSON object of names and'
+            ' IDs, or the path of a new file') from None
     is_mapping = isinstance(ids, dict) and all(
         type(id_) is int and 0 <= id_ <= MAX_ID for id_ in ids.values())
     if not is_mapping or len({*ids.values()}) < len(ids):

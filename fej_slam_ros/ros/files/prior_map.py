@@ -43,7 +43,9 @@ def prior_map(settings: RunSettings) -> PriorMap | None:
         with path.open(encoding='utf-8-sig', errors='replace', newline='') as file:
             return _read(csv.DictReader(file), most)
     except OSError as error:
-        raise UserError(f'cannot read the prior landmarks {path}: {error.strerror}') from None
+        raise UserError(
+            f'cannot read the prior landmarks {path}: {error.strerror}; give the path of a table,'
+            ' or of landmarks.csv or the checkpoint of an earlier run') from None
     except (ValueError, csv.Error) as error:
         raise UserError(f'{path} cannot be read as a table of landmarks: {error}') from None
 

@@ -57,7 +57,9 @@ def test_the_period_of_the_poses_is_an_option(convert, tmp_path):
 
 
 @pytest.mark.parametrize(('lines', 'options', 'status', 'parts'), [
-    (['EDGE_SE3:QUAT 0 1 2'], (), 1, ['graph.txt: it has no odometry']),
+    (['VERTEX_SE3:QUAT 0 0', 'EDGE_SE3:QUAT 0 1 2'], (), 1, [
+        'graph.txt: it has no odometry: relative poses in the plane are needed',
+        'number; not used: lines of EDGE_SE3:QUAT, VERTEX_SE3:QUAT']),
     (['EDGE_SE2 0 1 x'], (), 1, ['graph.txt: line 1 is damaged', 'correct or remove it']),
     (TWO_ROBOTS, ('--period', '0'), 2, ['--period: 0 is not a number from 0.001 to 1000'])])
 def test_bad_input_ends_with_one_sentence(convert, tmp_path, lines, options, status, parts):

@@ -64,13 +64,18 @@ def test_a_folder_is_read_by_the_files_that_it_has(text_park, raw_park):
     ('measurements.dat', '0.852 -1.0 0.5 0.3\n', 'a range is not positive'),
     ('measurements.dat', '0.852 1.0 nan 0.3\n', 'a value is not finite'),
     ('measurements.dat', '0.852 1.0 0.5 0.3\n0.700 1.0 0.5 0.3\n', 'its times do not increase'),
-    ('gps.dat', '', 'it has no rows'),
-    ('gps.dat', None, 'there is no such file')])
+    ('gps.dat', '', 'it has no rows')])
 def test_a_damaged_file_is_named_with_the_reason(text_park, name, content, reason):
     folder, _ = text_park
-    (folder / name).unlink()
-    if content is not None:
-        (folder / name).write_text(content)
+    (folder / name).write_text(content)
 
     with pytest.raises(UserError, match=rf'{name}: .*({reason}).*; fetch the file again$'):
+        text_log.read(folder)
+
+
+def test_a_file_that_is_missing_is_named(text_park):
+    folder, _ = text_park
+    (folder / 'gps.dat').unlink()
+
+    with pytest.raises(UserError, match=r'gps\.dat: there is no such file; give the folder'):
         text_log.read(folder)

@@ -115,11 +115,14 @@ def test_a_checkpoint_has_at_most_the_landmarks_of_a_map(tmp_path):
     assert 'more than 2 landmarks in map' in rejected(tmp_path / 'checkpoint', max_landmarks=2)
 
 
-def test_a_missing_survey_is_named(tmp_path):
-    path = tmp_path / 'missing.csv'
+@pytest.mark.parametrize(('name', 'reason'), [
+    ('missing.csv', 'No such file or directory'), ('.', 'Is a directory')])
+def test_a_survey_that_is_no_file_is_named_with_what_to_give(tmp_path, name, reason):
+    path = tmp_path / name
 
-    assert rejected(str(path)).startswith(
-        f'cannot read the prior landmarks {path}: No such file')
+    assert rejected(str(path)) == (
+        f'cannot read the prior landmarks {path}: {reason}; give the path of a table, or of'
+        ' landmarks.csv or the checkpoint of an earlier run')
 
 
 def first_run(folder, messages=MESSAGES, **changes):
