@@ -19,6 +19,7 @@ from fej_slam_ros.ros.files.landmark_ids import IdsFile
 from fej_slam_ros.ros.parameters.adapter_settings import (
     AdapterSettings, known_parameters, load_adapter)
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
+from fej_slam_ros.ros.session.inputs import TF_TYPE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -51,10 +52,13 @@ def _check(
         cure = (
             f'they are on {", ".join(found)}: correct robots, or use --remap' if found else
             f'but messages of other formats: set formats: [{min(present)}]' if present else
-            'choose formats that it has')
+            'choose formats that it has, apriltag for tags on /tf' if 'tf' in topics else
+            'nor messages of another format that could be read')
+        missing = sorted({
+            used.topic if used.type_name == TF_TYPE else f'<robot>/{used.topic}'
+            for used in formats})
         raise UserError(
-            f'{arguments.bag} has no {" or ".join(sorted({used.topic for used in formats}))} of'
-            f' the robots in robots, {cure}')
+            f'{arguments.bag} has no {" or ".join(missing)} of the robots in robots, {cure}')
     for name in session.object_topics:
         if name in topics and topics[name].type_name != session.topics[name]:
             raise UserError(

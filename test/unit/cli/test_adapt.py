@@ -81,7 +81,7 @@ def test_a_wrong_file_of_ids_is_refused(tmp_path, capsys, content):
     status = run_verb(
         'adapt', recording(tmp_path), '--params', settings, '--output', tmp_path / 'out')
 
-    assert_one_sentence((status, *capsys.readouterr()), 1, str(ids))
+    assert_one_sentence((status, *capsys.readouterr()), 1, str(ids), 'JSON object of names')
 
 
 def test_a_bag_without_the_messages_of_the_formats_is_refused(tmp_path, capsys):
@@ -90,7 +90,19 @@ def test_a_bag_without_the_messages_of_the_formats_is_refused(tmp_path, capsys):
     status = run_verb(
         'adapt', recording(tmp_path), '--params', settings, '--output', tmp_path / 'out')
 
-    assert_one_sentence((status, *capsys.readouterr()), 1, 'detections', 'choose formats')
+    assert_one_sentence(
+        (status, *capsys.readouterr()), 1, '<robot>/detections',
+        'choose formats that it has, apriltag for tags on /tf')
+
+
+def test_a_bag_without_the_messages_of_any_format_is_refused(tmp_path, capsys):
+    settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'])
+    bag = foreign.write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0)])
+
+    status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
+
+    assert_one_sentence(
+        (status, *capsys.readouterr()), 1, 'bag has no tf of the robots in robots, nor messages')
 
 
 def test_messages_of_another_release_are_refused(tmp_path, capsys):
