@@ -91,6 +91,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure all parts, then print and write the results."""
     if arguments.picture:
         require_matplotlib('leave out --picture')
+    if arguments.data is not None:
+        associated_log.find(arguments.data)  # Says at once that it is not there.
     with claimed(arguments.output, arguments.force), claimed(arguments.picture, arguments.force):
         return _benchmark(arguments)
 

@@ -130,3 +130,13 @@ def test_a_machine_whose_speed_drifts_gives_no_file(quick, monkeypatch, capsys, 
     assert 'F by 2.00, B by 1.00' in printed.err
     assert cells(printed.out, '500')
     assert not (tmp_path / 'times.json').exists()
+
+
+def test_missing_data_are_reported_at_once(quick, monkeypatch, capsys, tmp_path):
+    measured = []
+    monkeypatch.setattr(benchmark, 'measure_machine', lambda: measured.append(1))
+
+    status = quick('--data', str(tmp_path / 'missing'))
+
+    assert (status, measured) == (2, [])
+    assert 'missing: give the one with the Victoria Park data' in capsys.readouterr().err
