@@ -50,8 +50,10 @@ def draw_scene(
         axes.plot([], [], color='black', linewidth=0.8, label='true path')
     for name, x in {**poses, **true_poses}.items():
         _draw_start(axes, name, x[0])
-    axes.plot([], [], 'o', color='black', markersize=5, label='start')
-    axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal')
+    start = 'start' if true_poses else 'first pose in map'  # Which is later if a robot joins.
+    axes.plot([], [], 'o', color='black', markersize=5, label=start)
+    # Of a wide scene, the space that is left is above it, where it is cut off.
+    axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal', anchor='S')
     axes.grid(alpha=0.25)
     save(file, figure, axes, 3)
 
