@@ -16,6 +16,7 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.front_end_topics import formats_in
 from fej_slam_ros.ros.files.landmark_ids import IdsFile
+from fej_slam_ros.ros.messages.object_formats import FORMATS
 from fej_slam_ros.ros.parameters.adapter_settings import (
     AdapterSettings, known_parameters, load_adapter)
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
@@ -44,21 +45,9 @@ def _check(
     topics: Mapping[str, bags.BagTopic],
 ) -> None:
     """Raise UserError if the bag has no messages that can be read."""
-    formats = settings.object_formats()
-    types = {used.type_name for used in formats}
     if not any(topic in topics for topic in session.object_topics):
-        found = [name for name, topic in topics.items() if topic.type_name in types]
-        present = {name for robot in settings.robots for name in formats_in(topics, robot)}
-        cure = (
-            f'they are on {", ".join(found)}: correct robots, or use --remap' if found else
-            f'but messages of other formats: set formats: [{min(present)}]' if present else
-            'choose formats that it has, apriltag for tags on /tf' if 'tf' in topics else
-            'nor messages of another format that could be read')
-        missing = sorted({
-            used.topic if used.type_name == TF_TYPE else f'<robot>/{used.topic}'
-            for used in formats})
-        raise UserError(
-            f'{arguments.bag} has no {" or ".join(missing)} of the robots in robots, {cure}')
+        raise UserError(f'{arguments.bag} has {_missing(settings, topics)}')
+    types = {used.type_name for used in settings.object_formats()}
     for name in session.object_topics:
         if name in topics and topics[name].type_name != session.topics[name]:
             raise UserError(
@@ -68,3 +57,32 @@ def _check(
             raise UserError(
                 f'{arguments.bag} has {topics[name].type_name} of another release than ROS 2'
                 ' Jazzy, which cannot be read: record it with the packages of Jazzy')
+
+
+def _missing(settings: AdapterSettings, topics: Mapping[str, bags.BagTopic]) -> str:
+    """Return what a bag without topics of the formats lacks, and the cure."""
+    formats = settings.object_formats()
+    missing = sorted({
+        used.topic if used.type_name == TF_TYPE else f'<robot>/{used.topic}' for used in formats})
+    return f'no {" or ".join(missing)} of the robots in robots, {_cure(settings, topics)}'
+
+
+def _cure(settings: AdapterSettings, topics: Mapping[str, bags.BagTopic]) -> str:
+    types = {used.type_name for used in settings.object_formats()}
+    found = [name for name, topic in topics.items() if topic.type_name in types]
+    if found:
+        return f'they are on {", ".join(found)}: correct robots, or use --remap'
+    present = {name for robot in settings.robots for name in formats_in(topics, robot)}
+    if present:
+        return f'but messages of other formats: set formats: [{min(present)}]'
+    namespaces = {name.rpartition('/')[0] for name in topics}
+    others = sorted({
+        f'{space}/{FORMATS[name].topic}'
+        for space in namespaces for name in formats_in(topics, space)})
+    if others:
+        return (
+            f'but messages of other formats on {", ".join(others)}: correct robots and formats, or'
+            ' use --remap')
+    if 'tf' in topics:
+        return 'choose formats that it has, apriltag for tags on /tf'
+    return 'nor messages of another format that could be read'

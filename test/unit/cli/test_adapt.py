@@ -95,6 +95,19 @@ def test_a_bag_without_the_messages_of_the_formats_is_refused(tmp_path, capsys):
         'choose formats that it has, apriltag for tags on /tf')
 
 
+def test_messages_of_another_format_and_robot_are_named(tmp_path, capsys):
+    settings = write_parameters(tmp_path / 'p.yaml', robots=['r2'], formats=['detection3d'])
+    bag = foreign.write_bag(tmp_path / 'bag', [
+        raw('r1/odom', odometry_message(0), 0),
+        foreign.aruco(1000, 'r1/base_link', {7: (1.0, 2.0, 0.3)})])
+
+    status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
+
+    assert_one_sentence(
+        (status, *capsys.readouterr()), 1,
+        'but messages of other formats on r1/aruco_detections: correct robots and formats')
+
+
 def test_a_bag_without_the_messages_of_any_format_is_refused(tmp_path, capsys):
     settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'])
     bag = foreign.write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0)])
