@@ -167,9 +167,11 @@ def _call(command: str, verb: str, words: list[str]) -> int:
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
     arguments, unknown = parser.parse_known_args(words[:ros])
     if unknown:
+        may_be_parameters = any(word.startswith('-') or ':=' in word for word in unknown)
         cure = (
             f': {NODE_ARGUMENTS}' if verb in NODES else
-            f': {FILE_PARAMETERS}' if '--params' in parser.format_usage() else '')
+            f': {FILE_PARAMETERS}'
+            if may_be_parameters and '--params' in parser.format_usage() else '')
         parser.error(f'unrecognized arguments: {" ".join(unknown)}{cure}')
     arguments.ros_args = words[ros:]
     status: int = module.run(arguments)

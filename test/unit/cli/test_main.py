@@ -200,6 +200,12 @@ def test_a_parameter_given_as_an_option_is_named_with_the_way_to_give_it(
     assert said.endswith('write them into the file of --params') == has_parameters
 
 
+def test_a_second_bag_is_not_taken_for_a_parameter(capsys):
+    assert run_verb('replay', 'bag', 'other', '--params', 'a.yaml', '--output', 'out') == 2
+
+    assert capsys.readouterr().err.endswith('unrecognized arguments: other\n')
+
+
 @pytest.mark.parametrize('verb', ['doctor', 'evaluate', 'play'])
 def test_a_path_that_no_file_can_have_is_one_sentence(capsys, verb):
     output = ['--output', 'out'] if verb == 'evaluate' else []
