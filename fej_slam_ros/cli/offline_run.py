@@ -5,6 +5,7 @@
 import argparse
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 import logging
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -171,15 +172,22 @@ def _check(arguments: argparse.Namespace, output_bag: Path) -> None:
 
 
 def _renew_picture(folder: Path, is_wanted: bool) -> None:
-    """Delete the picture of an earlier run, and draw the estimates in ``map`` if it is wanted."""
+    """
+    Delete the picture of an earlier run, and draw the estimates in ``map`` if it is wanted.
+
+    Where no robot is in ``map``, those in the frame of the first one are drawn.
+    """
     (folder / PICTURE).unlink(missing_ok=True)
     if not is_wanted:
         return
     result = run_results.read_folder(folder)
-    in_map = [name for name, trajectory in result.trajectories.items() if trajectory.frame == MAP]
+    frames = {name: trajectory.frame for name, trajectory in result.trajectories.items()}
+    frame = MAP if MAP in frames.values() else next(iter(frames.values()), MAP)
+    result = replace(result, landmarks=run_results.landmarks(folder, frame))
     write_figure(
-        folder / PICTURE, draw_run, f'{folder.resolve().name}: estimates with 3-sigma ellipses',
-        result, in_map, {}, [])
+        folder / PICTURE, draw_run,
+        f'{folder.resolve().name}: estimates in {frame} with 3-sigma ellipses', result,
+        [name for name in frames if frames[name] == frame], {}, [])
 
 
 def _folder(first: Path, number: int) -> Path:

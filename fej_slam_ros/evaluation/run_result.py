@@ -27,7 +27,7 @@ class EstimatedTrajectory:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LandmarkMap:
-    """Landmarks in ``map``: IDs (n,), points (n, 2) and covariances P (n, 2, 2)."""
+    """Landmarks in one frame: IDs (n,), points (n, 2) and covariances P (n, 2, 2)."""
 
     ids: NDArray[np.int64]
     points: Array

@@ -25,7 +25,7 @@ def draw_scene(
     draw_world: Callable[[Axes], None],
 ) -> None:
     """
-    Draw the estimates and the ground truth of a run, all in the frame ``map``, as a PNG.
+    Draw the estimates and the ground truth of a run, all in one frame, as a PNG.
 
     Arrays of each robot are poses (K, 3) with covariances (K, 3, 3); landmarks are points (n, 2)
     with covariances (n, 2, 2). The truth may be empty. `draw_world` draws what is behind all.
@@ -50,7 +50,8 @@ def draw_scene(
         axes.plot([], [], color='black', linewidth=0.8, label='true path')
     for name, x in {**poses, **true_poses}.items():
         _draw_start(axes, name, x[0])
-    start = 'start' if true_poses else 'first pose in map'  # Which is later if a robot joins.
+    # Of estimates in map alone, the first one is later than the start where a robot has joined.
+    start = 'start' if true_poses else 'first pose'
     axes.plot([], [], 'o', color='black', markersize=5, label=start)
     # Of a wide scene, the space that is left is above it, where it is cut off.
     axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal', anchor='S')

@@ -63,7 +63,19 @@ def read_folder(folder: Path) -> RunResult:
     nis = {
         name: NisSum(float(sums['sum']), int(sums['dof']))
         for name, sums in _summary(folder)['nis'].items()}
-    return RunResult(_trajectories(rows), _landmarks(folder), nis, shared_ids)
+    return RunResult(_trajectories(rows), landmarks(folder), nis, shared_ids)
+
+
+def landmarks(folder: Path, frame: str = MAP) -> LandmarkMap:
+    """Return the landmarks of a run in one frame, from its folder."""
+    path = folder / 'landmarks.csv'
+    if not path.exists():
+        return NO_LANDMARKS
+    rows = [row for row in read_table(path, LANDMARK_COLUMNS, read_landmark) if row.frame == frame]
+    if not rows:
+        return NO_LANDMARKS
+    ids, _, points, P = zip(*rows)
+    return LandmarkMap(np.array(ids, np.int64), np.array(points), np.array(P))
 
 
 def refuse_other_folder(folder: Path) -> None:
@@ -212,14 +224,3 @@ def _is_written(name: str, entry: Any) -> bool:
                 for key in ('sum', 'dof'))
             for sums in entry.values())
     return name != 'remap' or all(isinstance(rule, str) for rule in entry)
-
-
-def _landmarks(folder: Path) -> LandmarkMap:
-    path = folder / 'landmarks.csv'
-    if not path.exists():
-        return NO_LANDMARKS
-    rows = [row for row in read_table(path, LANDMARK_COLUMNS, read_landmark) if row.frame == MAP]
-    if not rows:
-        return NO_LANDMARKS
-    ids, _, points, P = zip(*rows)
-    return LandmarkMap(np.array(ids, np.int64), np.array(points), np.array(P))

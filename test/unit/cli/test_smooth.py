@@ -10,6 +10,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.cli import offline_run
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.offline_matching import match
@@ -158,6 +159,21 @@ def test_robots_that_did_not_meet_are_reported(smooth, places):
     frames = {row['frame'] for row in csv_rows(places[2] / 'landmarks.csv')}
     assert frames == {'r1/map', 'r2/map'}
     assert 'rmse' not in summary_of(places[2])
+
+
+def test_a_robot_alone_is_drawn_with_its_map_in_its_own_frame(smooth, places, monkeypatch):
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    drawn = []
+    monkeypatch.setattr(offline_run, 'write_figure', lambda *figure: drawn.append(figure))
+
+    status, *_ = smooth(CIRCLES, '--picture', robots=['r1'])
+
+    ((_, _, title, result, robots, *_),) = drawn
+    rows = csv_rows(places[2] / 'landmarks.csv')
+    assert (status, robots) == (0, ['r1'])
+    assert 'estimates in r1/map' in title
+    assert {*result.landmarks.ids} == {int(row['id']) for row in rows}
+    assert len(result.trajectories['r1'].poses) == len(csv_rows(places[2] / 'trajectory_r1.csv'))
 
 
 def test_smoothing_again_gives_the_same_bytes(smooth, places):
