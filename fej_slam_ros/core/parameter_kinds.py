@@ -99,7 +99,7 @@ TEXT = Kind(
 FRAME = Kind(
     "a frame name without spaces and leading '/'", str,
     allowed=re.compile(rf'(?!/)[^\s\x00-\x1f\x7f-\x9f]{{1,{MAX_FRAME}}}').fullmatch)
-TEXTS = Kind('a list of texts', str, (None,))
+TEXTS = Kind('a list of texts, numbers in quotes', str, (None,))
 ROBOT_NAMES = Kind(
     'a list of names that begin with a letter and go on with letters, digits and _', str, (None,),
     re.compile(f'[A-Za-z][A-Za-z0-9_]{{,{MAX_NAME - 1}}}').fullmatch)

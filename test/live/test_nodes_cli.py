@@ -99,6 +99,15 @@ def test_a_rule_that_ros_refuses_is_rejected_with_its_form(capfd, option, rule, 
     assert form in error
 
 
+@pytest.mark.parametrize(('name', 'fault'), [('.', 'is a folder'), ('none', 'does not exist')])
+def test_a_parameter_file_that_is_none_is_rejected_with_the_reason(tmp_path, capfd, name, fault):
+    path = tmp_path / name
+
+    assert run_verb('estimator', '--ros-args', '--params-file', path) == 2
+
+    assert sentence(capfd.readouterr().err).startswith(f'estimator: {path} {fault}: give the path')
+
+
 @pytest.mark.parametrize(('text', 'cure'), [
     ('a: [', 'correct line 1, which is not YAML'),
     ('/**:\n\tros__parameters:\n', 'correct line 2, which is not YAML'),

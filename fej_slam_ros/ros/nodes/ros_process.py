@@ -104,7 +104,8 @@ def _check_parameter_files(ros_args: Sequence[str]) -> None:
     # The error of rcl is several lines long.
     for path in _parameter_files(ros_args):
         if not path.is_file():
-            raise UsageError(f'{path} does not exist: give the path of a ROS parameter file')
+            fault = 'is a folder' if path.is_dir() else 'does not exist'
+            raise UsageError(f'{path} {fault}: give the path of a ROS parameter file')
         # rcl would read it for minutes.
         if path.stat().st_size > MAX_PARAMETER_FILE:
             raise UsageError(

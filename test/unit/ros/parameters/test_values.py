@@ -111,6 +111,12 @@ def test_no_name_is_proposed_for_a_parameter_of_another_node_in_a_shared_file(no
     assert set(warnings) == {f'unknown parameter {name!r} is ignored' for name in unknown}
 
 
+def test_numbers_of_tags_are_rejected_with_the_way_to_write_them():
+    with pytest.raises(UsageError, match=r"'r1\.tags' must be .* in quotes, not \[7, 8\]$"):
+        parse_adapter({'robots': ['r1'], 'r1.tags': [7, 8]})
+    assert parse_adapter({'robots': ['r1'], 'r1.tags': ['7', '8']})
+
+
 def test_a_team_must_be_given():
     with pytest.raises(UsageError, match="'robots' is missing"):
         parse({'anchor': 'r1'})
