@@ -152,6 +152,10 @@ def _sources(arguments: argparse.Namespace) -> Sources:
         raise UserError(
             f'--truth: {given_truth} does not exist: give a rosbag2, or a folder of TUM files')
     is_bag = run_results.is_bag(run)
+    if given_truth is not None and not is_bag and given_truth.samefile(run):
+        raise UserError(
+            f'--truth: {given_truth} is the run itself: give its ground truth, or leave --truth'
+            ' out if that is in the bag of the run')
     # The bag of replay --bag lies in the folder whose summary names the input bag.
     folder = run.resolve().parent if is_bag else run
     truth = given_truth or run_results.bag_of(folder)

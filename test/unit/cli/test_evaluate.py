@@ -245,6 +245,15 @@ def test_a_folder_of_no_run_is_not_asked_for_its_ground_truth(evaluate, tmp_path
     assert printed.err.count('\n') == 1
 
 
+def test_a_run_is_no_ground_truth_of_its_own(replayed, evaluate):
+    run = replayed / 'two_circles'
+
+    status, _, printed = evaluate(run, '--no-plots', '--truth', run)
+
+    assert_one_sentence((status, *printed), 1, f'--truth: {run} is the run itself')
+    assert not (run / 'evaluation').exists()
+
+
 def test_a_truth_with_a_quaternion_of_another_norm_is_reported(replayed, evaluate, tmp_path):
     (tmp_path / 'truth').mkdir()
     (tmp_path / 'truth' / 'r1.tum').write_text('1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 2\n')
