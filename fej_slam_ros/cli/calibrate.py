@@ -78,9 +78,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _calibrate(arguments: argparse.Namespace) -> int:
     nodes = node_names(arguments, 'estimator')
     settings = parameters.load(arguments.params, nodes)
-    values = parameters.with_current_names(
-        parameters.load_values(arguments.params, nodes, parameters.no_warning),
-        parameters.no_warning)
+    values = parameters.load_current_values(arguments.params, nodes)
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
     # The filter that linearises about true landmarks needs their IDs.

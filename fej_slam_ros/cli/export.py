@@ -72,9 +72,7 @@ def run(arguments: Namespace) -> int:
     """Export the bag and print the numbers of records."""
     nodes = node_names(arguments, 'estimator', 'smoother')
     settings = parameters.load(arguments.params, nodes)
-    values = parameters.with_current_names(
-        parameters.load_values(arguments.params, nodes, parameters.no_warning),
-        parameters.no_warning)
+    values = parameters.load_current_values(arguments.params, nodes)
     output, beside = arguments.output, Path(f'{arguments.output}.yaml')
     with claimed(output, arguments.force), claimed(beside, arguments.force):
         exported = arguments.export(

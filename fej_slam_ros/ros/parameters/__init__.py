@@ -12,9 +12,9 @@ from fej_slam_ros.ros.parameters.schema import (
     QOS_OVERRIDES, QOS_POLICIES, SMOOTHER, Value)
 from fej_slam_ros.ros.parameters.values import (
     given_values, no_warning, PARAMETERS_OF_ROS, RENAMED_PARAMETERS, RESERVED_NAMES, robot_names,
-    STRICT_PARAMETERS, Warn, warn_once, with_current_names)
+    STRICT_PARAMETERS, Warn, warn_once)
 from fej_slam_ros.ros.parameters.yaml_files import (
-    dump, dump_values, load, load_parsed, load_values)
+    dump, dump_values, load, load_current_values, load_parsed, load_values)
 
 __all__ = [
     'ESTIMATOR', 'PARAMETERS_OF_ROS', 'QOS_OVERRIDES', 'QOS_POLICIES', 'RENAMED_PARAMETERS',
@@ -22,6 +22,6 @@ __all__ = [
     'NodeSettings', 'ParameterChange', 'RunSettings', 'Value', 'Warn', 'as_parameters',
     'changeable_parameters', 'changed_peers', 'changed_team', 'changes_before',
     'check_peer_files', 'checked_changes', 'deciding', 'declared_parameters', 'dump',
-    'dump_values', 'estimation_of', 'given_values', 'known_parameters', 'load', 'load_parsed',
-    'load_values', 'no_warning', 'parse', 'rejection', 'robot_names',
-    'warn_once', 'with_current_names', 'with_node_values', 'with_values']
+    'dump_values', 'estimation_of', 'given_values', 'known_parameters', 'load',
+    'load_current_values', 'load_parsed', 'load_values', 'no_warning', 'parse', 'rejection',
+    'robot_names', 'warn_once', 'with_node_values', 'with_values']

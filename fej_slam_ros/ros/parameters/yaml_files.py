@@ -19,7 +19,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import RunSettings
 from fej_slam_ros.ros.parameters.parsing import parse
 from fej_slam_ros.ros.parameters.schema import as_parameters
-from fej_slam_ros.ros.parameters.values import Warn, warn_once
+from fej_slam_ros.ros.parameters.values import no_warning, Warn, warn_once, with_current_names
 from fej_slam_ros.ros.parameters.yaml_bounds import (
     MAX_PARAMETER_FILE, read_bounded, YamlBoundsError)
 
@@ -64,6 +64,11 @@ def load_values(
         if _is_mixed(value):
             warn(_mixed_list(name, value))
     return values
+
+
+def load_current_values(path: Path, nodes: Sequence[str]) -> dict[str, object]:
+    """Return the same under the current names, without the warnings, which `load` gives."""
+    return with_current_names(load_values(path, nodes, no_warning), no_warning)
 
 
 def check_for_ros(path: Path) -> None:
