@@ -11,6 +11,7 @@ import pytest
 
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import outgoing
+from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings, known_parameters
 from helpers.optional import optional
 from helpers.ros import run_verb, write_parameters
 
@@ -85,7 +86,7 @@ def test_work_without_end_delays_neither_messages_nor_the_end_of_a_node():
     with live_helpers.Domain() as domain:
         domain.node.get_logger()
         node = front_end.FrontEndNode('front_end')
-        node.start(EndlessFrontEnd(), {}, {})
+        node.start(EndlessFrontEnd(), DetectorSettings(), known_parameters())
 
         node.work()
         assert node.is_behind

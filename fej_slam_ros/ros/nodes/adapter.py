@@ -8,8 +8,7 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.landmark_ids import IdsFile
 from fej_slam_ros.ros.nodes.endpoints import check_installed
 from fej_slam_ros.ros.nodes.front_end import FrontEndNode, spin
-from fej_slam_ros.ros.parameters.adapter_settings import (
-    adapter_values, known_parameters, parse_adapter)
+from fej_slam_ros.ros.parameters.adapter_settings import known_parameters, parse_adapter
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
 
 
@@ -30,7 +29,7 @@ class AdapterNode(FrontEndNode):
         self._unsaved: Mapping[str, int] = {}
         self._error = ''
         self.start(
-            AdapterSession(settings, self._ids.ids, self._save), adapter_values(settings),
+            AdapterSession(settings, self._ids.ids, self._save), settings,
             known_parameters(settings.robots))
 
     def close(self) -> None:

@@ -5,8 +5,7 @@
 from collections.abc import Sequence
 
 from fej_slam_ros.ros.nodes.front_end import FrontEndNode, spin
-from fej_slam_ros.ros.parameters.detector_settings import (
-    detector_values, known_parameters, parse_detector)
+from fej_slam_ros.ros.parameters.detector_settings import known_parameters, parse_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession
 
 
@@ -21,6 +20,4 @@ class DetectorNode(FrontEndNode):
     def __init__(self) -> None:
         super().__init__('detector')
         settings = parse_detector(self.given, self.get_logger().warning)
-        self.start(
-            DetectorSession(settings), detector_values(settings),
-            known_parameters(settings.robots))
+        self.start(DetectorSession(settings), settings, known_parameters(settings.robots))

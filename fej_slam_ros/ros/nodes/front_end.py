@@ -20,7 +20,9 @@ from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 from fej_slam_ros.ros.nodes.qos import front_end_qos, input_qos, overridable
 from fej_slam_ros.ros.nodes.qos_watch import QosWatch
 from fej_slam_ros.ros.nodes.ros_process import MAX_LAST_STEPS_TIME, ros
-from fej_slam_ros.ros.parameters import Value
+from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
+from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
+from fej_slam_ros.ros.parameters.schema import flat_values
 from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD, IncompatibleQos, NO_CLOCK
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
 from fej_slam_ros.ros.session.inputs import TF_TYPE
@@ -94,11 +96,12 @@ class FrontEndNode(ParameterNode):
         return self._due is not None
 
     def start(
-        self, front_end: FrontEnd, values: Mapping[str, Value], known: Mapping[str, Parameter]
+        self, front_end: FrontEnd, settings: AdapterSettings | DetectorSettings,
+        known: Mapping[str, Parameter],
     ) -> None:
         """Declare the parameters by their values, and create publishers and subscriptions."""
         self._front_end, self._known = front_end, known
-        self.redeclare(values, known)
+        self.redeclare(flat_values(settings, zip(settings.robots, settings.of_robots)), known)
         check_topic_names(self, [*front_end.topics, *front_end.outputs])
         self._outputs = {
             topic: self.create_publisher(message_class(type_name), topic, front_end_qos(topic))

@@ -3,19 +3,19 @@
 """Parameters of the adapter: which messages it reads, and how exact they are."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 import re
-from typing import Any
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, FRAME, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, parameters_of,
-    POSITIVE, Range, ROBOT_ID, ROBOT_NAMES, TEXT, TEXTS)
+    FLAG, FRAME, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POSITIVE, Range,
+    ROBOT_ID, ROBOT_NAMES, TEXT, TEXTS)
 from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
-from fej_slam_ros.ros.parameters.schema import Value
-from fej_slam_ros.ros.parameters.values import given_values, robot_names, Warn, warn_once
+from fej_slam_ros.ros.parameters.schema import full_names
+from fej_slam_ros.ros.parameters.values import (
+    by_owner, given_values, robot_names, Warn, warn_once)
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed
 
 FORMAT_NAMES = Kind(
@@ -96,22 +96,15 @@ class AdapterSettings:
 
 def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Parameter]:
     """Return the parameters of the adapter for some robots by their full names."""
-    return parameters_of(AdapterSettings) | {
-        f'{robot}.{name}': definition for robot in robots
-        for name, definition in parameters_of(SensedRobotSettings).items()}
+    return full_names(AdapterSettings, SensedRobotSettings, robots)
 
 
 def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> AdapterSettings:
     """Return the settings that flat ROS parameters give."""
     robots = robot_names(values.get('robots', []))
-    known = known_parameters(robots)
-    checked = given_values(values, known, warn, robots)
-    of_robots: dict[str, dict[str, Any]] = {robot: {} for robot in robots}
-    for name in [name for name in checked if '.' in name]:
-        robot, _, field = name.partition('.')
-        of_robots[robot][field] = checked.pop(name)
-    settings = AdapterSettings(**checked, of_robots=tuple(
-        SensedRobotSettings(**robot_values) for robot_values in of_robots.values()))
+    given = by_owner(given_values(values, known_parameters(robots), warn, robots), robots)
+    settings = AdapterSettings(
+        **given.pop(''), of_robots=tuple(SensedRobotSettings(**own) for own in given.values()))
     _check(settings)
     return settings
 
@@ -119,20 +112,6 @@ def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> Adapt
 def load_adapter(path: Path) -> AdapterSettings:
     """Return the settings for the node ``adapter`` in a ROS parameter file."""
     return load_parsed(path, ['adapter'], parse_adapter)
-
-
-def adapter_values(settings: AdapterSettings) -> dict[str, Value]:
-    """Return the settings as flat ROS parameters, without those that are not set."""
-    values = {name: getattr(settings, name) for name in parameters_of(AdapterSettings)}
-    for robot, robot_settings in zip(settings.robots, settings.of_robots):
-        values |= {
-            f'{robot}.{field.name}': getattr(robot_settings, field.name)
-            for field in fields(robot_settings)}
-    known = known_parameters(settings.robots)
-    # An empty list has no type in ROS.
-    return {
-        name: known[name].kind.write(value) for name, value in values.items()
-        if value is not None and value != ()}
 
 
 def _check(settings: AdapterSettings) -> None:

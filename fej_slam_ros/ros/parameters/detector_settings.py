@@ -7,16 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, parameters_of, POSE, POSITIVE,
-    Range, ROBOT_NAMES)
+    FLAG, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POSE, POSITIVE, Range,
+    ROBOT_NAMES)
 from fej_slam_ros.core.settings import Triple
 from fej_slam_ros.detection.detector import ScanDetector
 from fej_slam_ros.detection.posts import PostDetector
 from fej_slam_ros.detection.reflectors import ReflectorDetector
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.laser import MAX_DURATION
-from fej_slam_ros.ros.parameters.schema import Value
-from fej_slam_ros.ros.parameters.values import given_values, robot_names, Warn, warn_once
+from fej_slam_ros.ros.parameters.schema import full_names
+from fej_slam_ros.ros.parameters.values import (
+    by_owner, given_values, robot_names, Warn, warn_once)
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
 
 RADIUS = numbers('a number', Range(0.001, 10.0))
@@ -91,19 +92,15 @@ class DetectorSettings:
 
 def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Parameter]:
     """Return the parameters of the detector for some robots by their full names."""
-    return parameters_of(DetectorSettings) | {
-        f'{robot}.{name}': definition for robot in robots
-        for name, definition in parameters_of(LaserRobotSettings).items()}
+    return full_names(DetectorSettings, LaserRobotSettings, robots)
 
 
 def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> DetectorSettings:
     """Return the settings that flat ROS parameters give."""
     robots = robot_names(values.get('robots', []))
-    checked = given_values(values, known_parameters(robots), warn, robots)
+    given = by_owner(given_values(values, known_parameters(robots), warn, robots), robots)
     settings = DetectorSettings(
-        **{name: value for name, value in checked.items() if '.' not in name},
-        of_robots=tuple(
-            LaserRobotSettings(checked.get(f'{robot}.sensor_pose')) for robot in robots))
+        **given.pop(''), of_robots=tuple(LaserRobotSettings(**own) for own in given.values()))
     if settings.min_radius > settings.max_radius:
         raise UsageError(
             f'min_radius {settings.min_radius:g} is above max_radius {settings.max_radius:g}:'
@@ -128,13 +125,3 @@ def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:
     known = known_parameters(robots)
     given = {name: value for name, value in values.items() if name in known}
     return parse_detector({**given, 'robots': [*robots]}, warn_with_path)
-
-
-def detector_values(settings: DetectorSettings) -> dict[str, Value]:
-    """Return the settings as flat ROS parameters, without those that are not set."""
-    values = {name: getattr(settings, name) for name in parameters_of(DetectorSettings)} | {
-        f'{robot}.sensor_pose': of_robot.sensor_pose
-        for robot, of_robot in zip(settings.robots, settings.of_robots)
-        if of_robot.sensor_pose is not None}
-    known = known_parameters(settings.robots)
-    return {name: known[name].kind.write(value) for name, value in values.items()}

@@ -12,7 +12,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters.node_settings import NodeSettings, RunSettings
 from fej_slam_ros.ros.parameters.schema import known_parameters
 from fej_slam_ros.ros.parameters.values import (
-    checked_values, given_values, robot_names, Warn, warn_once, with_current_names)
+    by_owner, checked_values, given_values, robot_names, Warn, warn_once, with_current_names)
 
 #: Values by name of the team, whose owner is '', and of each robot.
 GivenValues = Mapping[str, Mapping[str, Any]]
@@ -59,10 +59,7 @@ def _divided_by_owner(
     values: Mapping[str, Any], robots: Sequence[str]
 ) -> tuple[GivenValues, dict[str, Any]]:
     """Return the values of estimation by name of the team and of each robot, and of the node."""
-    given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
-    for name, value in values.items():
-        owner, _, field = name.rpartition('.')
-        given[owner][field] = value
+    given = by_owner(values, robots)
     names = given[''].keys() & parameters_of(NodeSettings)
     return given, {name: given[''].pop(name) for name in names}
 

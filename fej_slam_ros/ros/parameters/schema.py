@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names, kinds and descriptions of all parameters, from the settings that declare them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from itertools import permutations
 
@@ -60,15 +60,26 @@ def known_parameters(
     return of_team | of_robots
 
 
+def full_names(team: type, robot: type, robots: Sequence[str]) -> dict[str, Parameter]:
+    """Return the parameters that classes declare for a team and for each robot."""
+    return parameters_of(team) | {
+        f'{owner}.{name}': p for owner in robots for name, p in parameters_of(robot).items()}
+
+
+def flat_values(team: object, of_robots: Iterable[tuple[str, object]]) -> dict[str, Value]:
+    """Return settings of a team and of robots by name, without those that are not set."""
+    flat = _flat(type(team), vars(team))
+    for name, of_robot in of_robots:
+        flat |= _flat(type(of_robot), vars(of_robot), f'{name}.')
+    return flat
+
+
 def as_parameters(settings: RunSettings) -> dict[str, Value]:
     """Return the settings as flat ROS parameters, without those that are not set."""
-    # An empty list has no type in ROS.
-    node = {
-        **vars(settings.node), 'relative_poses': settings.node.relative_poses or None,
-        'peers': settings.node.peers or None}
     names = [robot.name for robot in settings.estimation.robots]
     own = names[:1] if settings.node.peers else names
-    return {**deciding(settings.estimation), 'robots': own} | _flat(NodeSettings, node)
+    return {**deciding(settings.estimation), 'robots': own} | _flat(
+        NodeSettings, vars(settings.node))
 
 
 def deciding(settings: Settings) -> dict[str, Value]:
@@ -84,7 +95,8 @@ def deciding(settings: Settings) -> dict[str, Value]:
 
 
 def _flat(declared: type, values: dict[str, object], prefix: str = '') -> dict[str, Value]:
+    # An empty list has no type in ROS.
     return {
         f'{prefix}{name}': parameter.kind.write(values[name])
         for name, parameter in declared_parameters(declared).items()
-        if values[name] is not None}
+        if values[name] is not None and values[name] != ()}

@@ -81,6 +81,15 @@ def given_values(
     return checked
 
 
+def by_owner(values: Mapping[str, Any], robots: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """Return flat parameters by name of the team, whose owner is '', and of each robot."""
+    given: dict[str, dict[str, Any]] = {owner: {} for owner in ('', *robots)}
+    for name, value in values.items():
+        owner, _, field = name.rpartition('.')
+        given[owner][field] = value
+    return given
+
+
 def checked_values(
     values: Mapping[str, object], known: Mapping[str, Parameter]
 ) -> dict[str, Any]:
@@ -145,7 +154,7 @@ def shortened(text: str) -> str:
 
 def _known_values(
     values: Mapping[str, object], known: Mapping[str, Parameter], warn: Warn,
-    robots: Sequence[str] = (),
+    robots: Sequence[str],
 ) -> dict[str, object]:
     """
     Return flat ROS parameters without those of unknown names.
