@@ -86,7 +86,7 @@ class Beams:
         return 2.0 * math.pi - float(self.angles[-1] - self.angles[0])
 
 
-def beams_of(scan: LaserScan, max_range: float = math.inf) -> Beams:
+def beams_of(scan: LaserScan, max_range: float) -> Beams:
     """
     Return the known beams of a scan.
 

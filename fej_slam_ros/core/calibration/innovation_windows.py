@@ -98,7 +98,7 @@ class _Window:
             np.add.at(e, of_update, innovation.r)
             np.add.at(V, np.ix_(of_update, of_update), S + np.tril(S, -1).T)
             for own, association in zip(states, innovation.used):
-                kind = _kind(association)
+                kind = 'robot' if isinstance(association.observed, Robot) else 'landmark'
                 if kind in R:
                     R[kind][np.ix_(own, own)] += association.observation.R
         V_inverse = np.linalg.inv(V)
@@ -112,10 +112,6 @@ def _pair(association: Association) -> Pair:
     observed = association.observed
     return association.observer.name, (
         observed.name if isinstance(observed, Robot) else observed.key)
-
-
-def _kind(association: Association) -> str:
-    return 'robot' if isinstance(association.observed, Robot) else 'landmark'
 
 
 @dataclass(eq=False)

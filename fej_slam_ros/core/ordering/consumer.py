@@ -5,7 +5,6 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.rejections import RejectionReason
@@ -16,7 +15,6 @@ class Consumer(Protocol):
     """An estimator or smoother, or what collects their records: it counts rejections."""
 
     statistics: InputStatistics
-    truth: RecordedTruth
 
     @property
     def settings(self) -> CommonSettings:

@@ -5,7 +5,6 @@
 from collections.abc import Iterable
 from dataclasses import replace
 
-from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.record_memory import identity, RecordIdentity
 from fej_slam_ros.core.records import Record, TrueLandmarks, TruePose
@@ -31,7 +30,6 @@ class RecordCollector:
         self.needs_ids = needs_ids
         self.robots = {robot.name: robot for robot in settings.robots}
         self.statistics = InputStatistics()
-        self.truth = RecordedTruth()
         self.records: list[tuple[Record, int | None]] = []
         self._known: set[tuple[str, RecordIdentity]] = set()
 
