@@ -5,6 +5,7 @@
 import math
 import os
 from pathlib import Path
+import signal
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from scipy.io import savemat
 
 import fej_slam_ros.cli  # noqa: F401, one BLAS thread, before anything imports numpy
 from fej_slam_ros.experiments.liu.victoria_park import reproduce
+from fej_slam_ros.interrupts import INTERRUPTS
 from helpers.network import Network, why_none
 from helpers.optional import is_installed
 from helpers.shared_results import computed_once
@@ -120,6 +122,15 @@ def _synthetic_park():
             (t, r, bearing, 0, 0, number) for _, t in scans
             for r, bearing, number in ((10.0, 1.570801, 7), (20.0, 3.141589, 4))],
     }
+
+
+@pytest.fixture
+def same_signals():
+    """Restore the handlers of signals."""
+    before = {number: signal.getsignal(number) for number in INTERRUPTS}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture

@@ -201,13 +201,18 @@ def noisy_meeting():
     return [raw_record(record) for record in records]
 
 
-def drive(run, messages):
-    """Process messages one by one and close the run; return all publications."""
+def feed(run, messages):
+    """Process messages one by one; return the publications."""
     published = []
     for message in messages:
         run.receive(message)
         published += run.take()
-    return [*published, *run.close()]
+    return published
+
+
+def drive(run, messages):
+    """Process messages one by one and close the run; return all publications."""
+    return [*feed(run, messages), *run.close()]
 
 
 def save(run):

@@ -13,13 +13,7 @@ import pytest
 from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
 
-@pytest.fixture(autouse=True)
-def same_signals():
-    """Restore the handlers of signals."""
-    before = {number: signal.getsignal(number) for number in INTERRUPTS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
+pytestmark = pytest.mark.usefixtures('same_signals')
 
 
 @pytest.mark.parametrize('numbers', [

@@ -7,7 +7,6 @@ import signal
 
 import pytest
 
-from fej_slam_ros.interrupts import INTERRUPTS
 from helpers.ros import write_parameters
 
 
@@ -18,9 +17,9 @@ def places(tmp_path):
 
 
 @pytest.fixture
-def interrupted_write(monkeypatch):
-    """Let SIGINT arrive while the first file is written."""
-    before, sync = {number: signal.getsignal(number) for number in INTERRUPTS}, os.fsync
+def interrupted_write(monkeypatch, same_signals):  # noqa: ARG001
+    """Let SIGINT arrive while the first file is written; the command leaves it ignored."""
+    sync = os.fsync
 
     def interrupted(file):
         monkeypatch.setattr(os, 'fsync', sync)
@@ -28,7 +27,3 @@ def interrupted_write(monkeypatch):
         sync(file)
 
     monkeypatch.setattr(os, 'fsync', interrupted)
-    yield
-    # The command has left them ignored.
-    for number, handler in before.items():
-        signal.signal(number, handler)

@@ -16,17 +16,7 @@ import pytest
 
 from fej_slam_ros.cli.main import executable, main, NODES, VERBS
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.interrupts import INTERRUPTS
 from helpers.ros import assert_one_sentence, run_verb
-
-
-@pytest.fixture
-def same_signals():
-    """Restore the handlers of signals."""
-    before = {number: signal.getsignal(number) for number in INTERRUPTS}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 @pytest.fixture

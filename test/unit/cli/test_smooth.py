@@ -22,7 +22,7 @@ from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
 from helpers.records import odometry, scan, team, without_ids
 from helpers.ros import (
-    assert_one_sentence, csv_rows, decoded, meeting, odometry_message, raw, raw_record,
+    assert_one_sentence, csv_rows, decoded, feed, meeting, odometry_message, raw, raw_record,
     run_settings, run_verb, save, summary_of, write_bag, write_parameters)
 
 
@@ -231,9 +231,7 @@ def test_a_checkpoint_of_a_live_run_is_continued_only_by_the_option(smooth, plac
     team = {'robots': ['p', 'q'], 'shared_landmark_ids': False}
     live = SmootherSession(
         run_settings('p', 'q', shared_landmark_ids=False, checkpoint=str(saved)), None)
-    for message in RENDEZVOUS[:300]:
-        live.receive(message)
-        list(live.take())
+    feed(live, RENDEZVOUS[:300])
     save(live)
     supervised = {**team, 'checkpoint': str(saved), 'restore': str(saved)}
 

@@ -14,8 +14,8 @@ from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, scan
 from helpers.ros import (
-    meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, run_verb, summary_of,
-    write_bag, write_parameters)
+    feed, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, run_verb,
+    summary_of, write_bag, write_parameters)
 
 #: Both robots, odometry and scans every 100 ms for 4 s.
 PASS = [raw_record(record) for record in meeting(41)]
@@ -321,9 +321,7 @@ def test_replay_of_a_bag_recorded_in_a_loop(tmp_path, capsys, option, folders):
 def test_held_scans_have_a_limited_number_of_observations(monkeypatch):
     monkeypatch.setattr(time_jump, 'MAX_HELD_OBSERVATIONS', 10)
     run = EstimatorSession(run_settings(), None)
-    for message in PASS:
-        run.receive(message)
-    list(run.take())
+    feed(run, PASS)
 
     for ms in range(500, 560, 10):
         crowd = scan('r1', ms, [(number, (1.0, 0.0)) for number in range(4)])

@@ -25,7 +25,7 @@ from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
 from helpers.records import MS
 from helpers.ros import (
-    drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, save,
+    drive, feed, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, save,
     seen, summary_of, write_bag)
 
 #: A scan that waits until odometry has named its frame, and messages that are not used.
@@ -45,9 +45,7 @@ def path(tmp_path):
 def interrupted(path, messages, **changes):
     """Return a session that was saved after some messages."""
     run = EstimatorSession(run_settings(checkpoint=str(path), **changes), None)
-    for message in messages:
-        run.receive(message)
-        list(run.take())
+    feed(run, messages)
     save(run)
     return run
 
@@ -130,7 +128,7 @@ def test_odometry_that_waits_for_the_check_of_a_late_start_is_used_after_a_resta
 
     saved = EstimatorSession(run_settings(checkpoint=str(path), **known), None)
     saved.check_starts(Sent(20))
-    drive_on(saved, sent[:cut])
+    feed(saved, sent[:cut])
     save(saved)
     restored = EstimatorSession(run_settings(restore=str(path), **known), None)
     restored.check_starts(Sent(20 + cut // 2))
@@ -149,7 +147,7 @@ def test_a_robot_is_relocalized_at_its_newest_odometry_also_by_the_first_request
     path, session
 ):
     run = session(run_settings(checkpoint=str(path)), None)
-    drive_on(run, map(raw_record, meeting(8)))
+    feed(run, map(raw_record, meeting(8)))
     save(run)
 
     restored = session(run_settings(restore=str(path)), None)
@@ -190,9 +188,7 @@ def test_a_run_that_restores_its_own_checkpoint_starts_new_once_and_continues_af
     for part in MESSAGES[:9], MESSAGES[9:21], MESSAGES[21:]:
         run = EstimatorSession(own, None)
         restored.append(run.is_restored)
-        for message in part:
-            run.receive(message)
-            list(run.take())
+        feed(run, part)
         save(run)
     list(run.close())
 
@@ -424,7 +420,7 @@ def test_parameters_that_changed_before_and_after_a_checkpoint_decide_as_in_one_
             if number == 6:
                 run.change_parameters({'landmark_noise_scale': 2.0, 'max_delay': 0.3})
                 run.change_team(['r2', 'r1', 'r3'])
-            drive_on(run, [message])
+            feed(run, [message])
 
     whole = EstimatorSession(run_settings(), None)
     changed(whole, MESSAGES)
@@ -433,7 +429,7 @@ def test_parameters_that_changed_before_and_after_a_checkpoint_decide_as_in_one_
     save(first)
 
     second = EstimatorSession(run_settings(restore=str(path)), None)
-    drive_on(second, MESSAGES[12:])
+    feed(second, MESSAGES[12:])
 
     assert second.present_settings() == whole.present_settings()
     assert second.present_settings().robots[2].landmark_noise_scale == 2.0
@@ -443,17 +439,10 @@ def test_parameters_that_changed_before_and_after_a_checkpoint_decide_as_in_one_
     assert second.changes == whole.changes
 
 
-def drive_on(run, messages):
-    """Process messages without closing the run."""
-    for message in messages:
-        run.receive(message)
-        list(run.take())
-
-
 def second_run(path, session, **node):
     """Return a run that began by a reset after the parameters of the first one were changed."""
     first = session(run_settings(checkpoint=str(path), **node), None)
-    drive_on(first, MESSAGES)
+    feed(first, MESSAGES)
     first.change_team(['r3', 'r2'])
     list(first.close())
     return session(first.next_settings(''), None)
@@ -464,14 +453,14 @@ def test_a_killed_process_that_is_started_as_before_continues_its_second_run(pat
     undisturbed, saved = second_run(path, session), second_run(path, session)
     assert [*saved.consumer.robots] == ['r3', 'r2']
     for run in undisturbed, saved:
-        drive_on(run, MESSAGES[:12])
+        feed(run, MESSAGES[:12])
     save(saved)
 
     for _ in range(2):  # a later death is no other case
         restored = session(run_settings(checkpoint=str(path), restore=str(path)), None)
         save(restored)
     for run in undisturbed, restored:
-        drive_on(run, MESSAGES[12:])
+        feed(run, MESSAGES[12:])
         list(run.close())
 
     assert restored.present_settings() == undisturbed.present_settings()

@@ -15,7 +15,7 @@ from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure
 from fej_slam_ros.sim.world import make_world
-from helpers.ros import drive, meeting, raw_record, run_settings, save
+from helpers.ros import drive, feed, meeting, raw_record, run_settings, save
 
 #: What an ID must be.
 AN_ID = 'an integer from -1073741824 to 2147483647 other than -1'
@@ -193,9 +193,7 @@ def test_a_restored_run_needs_the_same_prior_map_and_continues_bit_for_bit(file,
     whole = EstimatorSession(file(survey), None)
     drive(whole, MESSAGES)
     begun = EstimatorSession(file(survey, checkpoint=str(saved)), None)
-    for message in MESSAGES[:20]:
-        begun.receive(message)
-        list(begun.take())
+    feed(begun, MESSAGES[:20])
     save(begun)
 
     restored = EstimatorSession(file(survey, 'moved.csv', restore=str(saved)), None)

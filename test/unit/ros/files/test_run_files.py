@@ -11,7 +11,7 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import odometry, team
 from helpers.ros import (
-    csv_rows, decoded, finished_run, meeting, noisy_meeting, raw_record, run_settings)
+    csv_rows, decoded, drive, finished_run, meeting, noisy_meeting, raw_record, run_settings)
 
 NAMES = {
     'landmarks.csv', 'r1.tum', 'r2.tum', 'summary.json', 'trajectory_r1.csv', 'trajectory_r2.csv'}
@@ -110,10 +110,7 @@ def test_ids_that_are_not_shared_are_listed_in_ids_csv(folder):
 def test_no_file_has_its_name_before_the_run_is_over(folder):
     run = EstimatorSession(run_settings(), folder)
 
-    for message in noisy_meeting():
-        run.receive(message)
-        list(run.take())
-    list(run.close())
+    drive(run, noisy_meeting())
 
     assert not NAMES & {path.name for path in folder.iterdir()}
 

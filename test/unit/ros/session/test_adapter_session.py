@@ -12,7 +12,7 @@ import pytest
 from fej_slam_ros.ros.parameters.adapter_settings import parse_adapter
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
 from helpers import foreign
-from helpers.ros import mounts, odometry_message, raw, TYPES
+from helpers.ros import drive, feed, mounts, odometry_message, raw, TYPES
 
 #: A camera 0.2 m ahead of the base and 0.5 m above it that looks to the left: z of its optical
 #: frame is to the left, x backwards along the robot seen from the image, that is ahead.
@@ -31,11 +31,7 @@ def session_of(save=lambda names: None, ids=(), robots=('r1',), **values):
 
 def run(session, *messages):
     """Return the publications of a session for messages, and at the end."""
-    found = []
-    for message in messages:
-        session.receive(message)
-        found += session.take()
-    return [*found, *session.close()]
+    return drive(session, messages)
 
 
 def clouds(publications, topic='r1/landmarks'):
@@ -207,7 +203,7 @@ def test_objects_wait_for_odometry_and_for_transforms_that_come_late():
     session = session_of()
     early = [foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in (5, 15)]
 
-    before = run_until(session, *early)
+    before = feed(session, early)
     (_, warning, counts), = session.counts()
     after = run(session, CAMERA, ODOMETRY)
 
@@ -218,18 +214,9 @@ def test_objects_wait_for_odometry_and_for_transforms_that_come_late():
     assert [m.header.stamp.nanosec for t, m in after if t == 'r1/landmarks'] == [5e6, 15e6]
 
 
-def run_until(session, *messages):
-    """Return the publications for messages, while more are to come."""
-    found = []
-    for message in messages:
-        session.receive(message)
-        found += session.take()
-    return found
-
-
 def test_objects_without_a_transform_are_bounded_counted_and_named():
     session = session_of()
-    run_until(session, *(
+    feed(session, (
         foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in range(1_200)))
 
     assert next(session.counts())[2]['waiting'] == 1_000
@@ -241,9 +228,9 @@ def test_objects_without_a_transform_are_bounded_counted_and_named():
 
 def test_a_transform_that_has_come_is_no_longer_reported_as_missing():
     session = session_of()
-    run_until(session, *(
+    feed(session, (
         foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in range(1_200)))
-    run_until(session, CAMERA, ODOMETRY)
+    feed(session, [CAMERA, ODOMETRY])
 
     (_, warning, counts), = session.counts()
     assert (warning, counts['messages'], counts['rejected_wrong_frame']) == ('', 1_000, 200)
@@ -364,9 +351,7 @@ def test_new_ids_are_published_and_saved_after_stamps_have_gone_back():
     messages = [foreign.april_tags(ms, 'r1/base_link', {f'tag36h11:{tag}': SEEN})
                 for ms, tag in ((900_000, 8), (2000, 9))]
 
-    for message in (ODOMETRY, *messages):
-        session.receive(message)
-        list(session.take())
+    feed(session, (ODOMETRY, *messages))
 
     assert saved[-1] == {'tag36h11:8': 8, 'tag36h11:9': 9}
 
@@ -633,7 +618,7 @@ def test_many_unknown_frames_do_not_silence_a_known_one():
     strays = [foreign.april_tags(k, f'stray_{k}', {'tag36h11:4': SEEN}) for k in range(150)]
     good = [foreign.april_tags(k, 'r1/camera', {'tag36h11:4': SEEN}) for k in range(200, 205)]
 
-    found = run_until(session, ODOMETRY, CAMERA, *strays, *good)
+    found = feed(session, [ODOMETRY, CAMERA, *strays, *good])
 
     assert len(clouds(found)) == 5
     # Of 100 places for frames, the known one needs one for a moment.

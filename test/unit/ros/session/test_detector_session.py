@@ -15,7 +15,7 @@ from fej_slam_ros.ros.session.detector_session import DetectorSession
 from fej_slam_ros.ros.session.front_end import report
 from fej_slam_ros.sim.lidar import true_ranges
 from helpers.lasers import NO_WALLS, scan_of
-from helpers.ros import mounts, odometry_message, raw, seen
+from helpers.ros import drive, mounts, odometry_message, raw, seen
 
 POSTS = np.array([[3.0, 0.5, 0.2], [-1.0, 2.0, 0.15]])
 UPRIGHT, UPSIDE_DOWN, SIDEWAYS = (0.0, 0.0, 0.5), (np.pi, 0.0, 0.5), (np.pi / 2, 0.0, 0.0)
@@ -37,12 +37,7 @@ def scan_message(ms=0, frame='r1/laser', scan=None, **changes):
 
 def run(session, *messages):
     """Return the clouds that a session publishes for messages, and at the end."""
-    found = []
-    for message in messages:
-        session.receive(message)
-        found += session.take()
-    found += session.close()
-    return [message for topic, message in found if topic == 'r1/landmarks']
+    return [message for topic, message in drive(session, messages) if topic == 'r1/landmarks']
 
 
 def points(message):

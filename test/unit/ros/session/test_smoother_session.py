@@ -17,7 +17,7 @@ from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session.outputs import MAX_PATH
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
-from helpers.ros import meeting, odometry_message, raw, raw_record, run_settings
+from helpers.ros import feed, meeting, odometry_message, raw, raw_record, run_settings
 
 RENDEZVOUS = list(bags.read(BAGS / 'rendezvous'))
 MEETING = [raw_record(record) for record in meeting()]
@@ -26,11 +26,7 @@ MEETING = [raw_record(record) for record in meeting()]
 def driven(messages, **settings):
     """Return a run that was given messages, and what it published."""
     run = SmootherSession(run_settings(**settings), None)
-    published = []
-    for message in messages:
-        run.receive(message)
-        published += run.take()
-    return run, [*published, *run.release()]
+    return run, [*feed(run, messages), *run.release()]
 
 
 def overview(run):
@@ -104,9 +100,7 @@ def test_a_transform_composed_with_the_odometry_is_the_pose_of_the_smoother(is_j
 def test_a_solution_that_fails_is_reported_once_and_keeps_poses_and_the_solution_before(tmp_path):
     given = run_settings('p', 'q', shared_landmark_ids=False)
     run = SmootherSession(given, tmp_path / 'out')
-    for message in RENDEZVOUS[:700]:
-        run.receive(message)
-        list(run.take())
+    feed(run, RENDEZVOUS[:700])
     list(run.adopt(solve(run.team.task())))
     before, poses = run.state_hash(), len(run.team.trajectories['q'].stamps)
     list(run.log.take())
@@ -202,9 +196,7 @@ def test_a_robot_that_returns_is_lost_until_it_observes_its_landmarks():
     run = smoothed_with((['p', 'q'], ['p']), RENDEZVOUS, 450)
 
     run.change_team(['p', 'q'])
-    for message in RENDEZVOUS[450:]:
-        run.receive(message)
-        list(run.take())
+    feed(run, RENDEZVOUS[450:])
 
     assert {'q/pose', 'q/path'} <= run.outputs.topics.keys()
     assert run.team.statistics.restart_reasons == {'q': 'it has returned to the team'}
