@@ -102,8 +102,8 @@ def point(x, y, z):
     return make('geometry_msgs/Point', x=float(x), y=float(y), z=float(z))
 
 
-def turned(w=1.0, x=0.0, y=0.0, z=0.0):
-    return make('geometry_msgs/Quaternion', x=x, y=y, z=z, w=w)
+def turned(w=1.0, z=0.0):
+    return make('geometry_msgs/Quaternion', x=0.0, y=0.0, z=z, w=w)
 
 
 def pose(position, orientation=None):

@@ -143,11 +143,11 @@ class Domain:
         """Wait until a condition holds."""
         until(condition, self._work)
 
-    def record(self, topic, type_name, depth=10_000):
+    def record(self, topic, type_name):
         """Return a list that fills with the bytes of the messages on a topic."""
         messages = []
         self.node.create_subscription(
-            message_class(type_name), topic, messages.append, reliable(depth), raw=True)
+            message_class(type_name), topic, messages.append, reliable(10_000), raw=True)
         return messages
 
     def listen(self, topic, type_name):

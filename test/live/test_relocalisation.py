@@ -30,9 +30,9 @@ BEFORE, AFTER = ([raw_record(r) for r in meeting(20) if (r.stamp <= 500 * MS) is
 POSE = np.array([3.0, -2.0, 0.5])
 
 
-def pose_message(robot='r2', topic=None, sigma=0.01, ms=500):
-    """Return a pose that a robot is given at a stamp."""
-    said = raw_record(PosePrior(robot, ms * MS, POSE, sigma**2 * np.eye(3)))
+def pose_message(topic=None):
+    """Return a pose that r2 is given."""
+    said = raw_record(PosePrior('r2', 500 * MS, POSE, 1e-4 * np.eye(3)))
     return said if topic is None else replace(said, topic=topic)
 
 

@@ -77,7 +77,7 @@ def test_two_robots_in_reach_around_their_rendezvous_have_the_central_result(exp
         assert_allclose(base.P, of_expected.P, rtol=1e-6)
 
 
-def random_meetings(names, seed, duration, loss=0.2):
+def random_meetings(names, seed, duration):
     """
     Let robots drive among landmarks, with pairs of them in reach for some seconds each.
 
@@ -92,7 +92,7 @@ def random_meetings(names, seed, duration, loss=0.2):
     measurements = [*filter(is_measurement, records)]
     settings = team_settings(names, names[0])
     robots = {name: Robot(name, settings) for name in names}
-    radio, used = Radio(robots, rng, loss, repeated=0.1), 0
+    radio, used = Radio(robots, rng, 0.2, repeated=0.1), 0
     for _ in range(duration // 5):
         links = {frozenset(rng.choice(names, 2, replace=False)) for _ in range(len(names) // 2)}
         for _ in range(5):

@@ -45,13 +45,13 @@ class Joining:
         self.joiner = TeamJoiner(
             settings, self.groups, LandmarkManager(), self.statistics, self.pose_priors)
 
-    def observe_landmarks(self, robot, points, sigma=0.01, first_id=0):
+    def observe_landmarks(self, robot, points, first_id=0):
         """Let a robot start confirmed landmarks at points of the base frame, numbered on."""
         state = self.groups.of(robot).state
         for number, point in enumerate(points, first_id):
             landmark = state.augment(
                 ('', number), state.robots[robot], np.array(point), np.eye(2, 3),
-                sigma**2 * np.eye(2))
+                1e-4 * np.eye(2))
             landmark.tentative = None
 
     def share_landmarks(self, count):

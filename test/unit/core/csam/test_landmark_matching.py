@@ -18,11 +18,11 @@ from fej_slam_ros.core.smoothing.least_squares import (
 SMALL = 1e-4 * np.eye(2)
 
 
-def two_still_robots(of_p, of_q, R=SMALL):
+def two_still_robots(of_p, of_q):
     """Return the joint map of two still robots from the points that each observes."""
     points = np.array([*of_p, *of_q], float)
     pose = np.repeat([0, 1], [len(of_p), len(of_q)])
-    observations = LandmarkFactors(pose, np.arange(len(points)), points, R)
+    observations = LandmarkFactors(pose, np.arange(len(points)), points, SMALL)
     odometry = OdometryFactors(np.array([0]), np.array([1]), np.zeros((1, 3)), 1e-14 * np.eye(3))
     landmarks = tuple(
         (('p' if k < len(of_p) else 'q', k),) for k in range(len(points)))

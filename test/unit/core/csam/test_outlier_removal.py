@@ -16,11 +16,11 @@ from fej_slam_ros.core.smoothing.least_squares import (
 from helpers.csam import Met
 
 
-def local_map(seed, wrong=(), shift=(0.0, 5.0)):
+def local_map(seed, wrong=()):
     """Return a map of six landmarks observed from each of 31 poses, with outliers."""
     local, _ = Met(seed, [], steps=30).maps
     z = local.problem.landmarks.z.copy()
-    z[list(wrong)] += shift
+    z[list(wrong)] += [0.0, 5.0]
     observations = replace(local.problem.landmarks, z=z)
     return replace(local, problem=replace(local.problem, landmarks=observations))
 

@@ -16,10 +16,10 @@ from helpers.matching import a_map
 POINTS = np.array([[4.0, 0.0], [0.0, 9.0], [4.1, 0.1], [-8.0, 2.0]])
 
 
-def a_filter(points=POINTS, sigma=0.1, seed=3):
+def a_filter(points=POINTS, sigma=0.1):
     """Return a filter whose landmarks are correlated, and these in the order of the points."""
     n = 3 + 2 * len(points)
-    A = np.random.default_rng(seed).normal(0.0, sigma / np.sqrt(n), (n, n))
+    A = np.random.default_rng(3).normal(0.0, sigma / np.sqrt(n), (n, n))
     state, _ = a_map(points, A @ A.T + 1e-4 * np.eye(n))
     return Filter(state, FirstEstimates(), Gate(1.0)), [*state.landmarks.values()]
 

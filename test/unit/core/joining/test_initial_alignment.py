@@ -33,9 +33,9 @@ def observations(team, **numbers):
         for name, some in numbers.items()}
 
 
-def all_observations(seed, robots=3, landmarks=4):
-    team = SmallTeam(seed, robots, landmarks)
-    return team, observations(team, **dict.fromkeys(team.names, range(landmarks)))
+def all_observations(seed):
+    team = SmallTeam(seed, robots=3, landmarks=4)
+    return team, observations(team, **dict.fromkeys(team.names, range(4)))
 
 
 def prior_of(team, robots=('r1',), landmarks=(), B=ANCHOR):

@@ -34,11 +34,11 @@ TEAM = ('r1', 'r2')
 CONSISTENT = ['fej', 'invariant']
 
 
-def late_robot(seed, *, landmarks=40, loops=1, known=False, **settings):
+def late_robot(seed, *, known=False, **settings):
     """Return an estimator whose second robot begins late, its steps, and the true poses of it."""
     environment = ENVIRONMENTS['circles']
     environment = replace(
-        environment, world=replace(environment.world, landmarks=landmarks, loops=loops))
+        environment, world=replace(environment.world, landmarks=40, loops=1))
     true = environment.true_world(np.random.default_rng(seed)).true_poses['r2']
     begin = LATE * NS // 5
     records = [

@@ -30,11 +30,11 @@ def moved(steps):
         np.sum(steps[..., 2], axis=-1)], axis=-1)
 
 
-def heard_after(steps, noise=TWIST_COVARIANCE, missed=MISSED, robot=ROBOT):
+def heard_after(steps, noise=TWIST_COVARIANCE, robot=ROBOT):
     """Return the missed motion of a robot heard 0.1 s before and after the end of its steps."""
     first = odometry('r1', 0, moved(steps), noise)
     second = odometry('r1', 100, compose(first.pose, steps[-1]), noise)
-    return missed_motion(first, (first, second), missed, robot)
+    return missed_motion(first, (first, second), MISSED, robot)
 
 
 def errors_of(steps):

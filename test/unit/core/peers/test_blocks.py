@@ -16,8 +16,8 @@ from fej_slam_ros.ros.messages.incoming_clouds import observation_faults
 R = np.array([[0.04, 0.01], [0.01, 0.02]])
 
 
-def measurements(seed=0):
-    rng = np.random.default_rng(seed)
+def measurements():
+    rng = np.random.default_rng(0)
     return [
         Odometry('p', 10**18, rng.normal(size=3), None),
         Odometry('p', 10**18 + 7, rng.normal(size=3), np.diag([1e-3, 2e-3, 1e-5])),

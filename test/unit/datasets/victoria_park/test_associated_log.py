@@ -23,10 +23,10 @@ OBSERVATIONS = np.array([
     [2, 4, 7.0, -8.0], [0, 9, 1.0, 2.0], [0, 4, 3.0, 4.0], [1, 5, 5.0, -6.0]])
 
 
-def zstate(steps=STEPS, observations=OBSERVATIONS):
+def zstate():
     """Return [value, type, to-pose or id, from-pose], a row for each coordinate."""
-    of_steps = [(value, 1, end, begin) for begin, end, *u in steps for value in u]
-    of_observations = [(value, 2, id_, pose) for pose, id_, *z in observations for value in z]
+    of_steps = [(value, 1, end, begin) for begin, end, *u in STEPS for value in u]
+    of_observations = [(value, 2, id_, pose) for pose, id_, *z in OBSERVATIONS for value in z]
     return {'Zstate': np.array(of_observations[:4] + of_steps + of_observations[4:])}
 
 

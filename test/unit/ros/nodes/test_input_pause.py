@@ -9,10 +9,10 @@ from fej_slam_ros.ros.nodes.input_pause import InputPause
 SECOND = 1_000_000_000
 
 
-def after_input(at=100 * SECOND):
-    """Return a pause whose last input arrived at a time."""
+def after_input():
+    """Return a pause whose last input arrived at 100 s."""
     pause = InputPause()
-    pause.receive(at)
+    pause.receive(100 * SECOND)
     return pause
 
 
