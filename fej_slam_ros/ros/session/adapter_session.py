@@ -3,7 +3,7 @@
 """One run of the adapter, live or from a bag: poses of tags and other objects in, scans out."""
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 import re
 
 import numpy as np
@@ -19,6 +19,7 @@ from fej_slam_ros.ros.messages import (
 from fej_slam_ros.ros.messages.common import from_time, MAX_SECONDS
 from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
+from fej_slam_ros.ros.session.adapter_counts import AdapterCounts
 from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
 from fej_slam_ros.ros.session.frames import transform_topics
 from fej_slam_ros.ros.session.front_end import LANDMARK_IDS, RobotCounts
@@ -31,18 +32,6 @@ from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 
 #: Maximum number of objects in a message, and of its bytes, beyond which it is not decoded.
 MAX_MESSAGE_OBJECTS, MAX_MESSAGE_SIZE = 2_000, 4_000_000
-#: What detections need that are rejected, by the reason, where the reason does not say it.
-CURES = {
-    RejectionReason.NO_IDENTITY.value:
-        'they have no hypothesis, use the format detection3d_track or detection3d_anonymous',
-    RejectionReason.DUPLICATE_ID.value:
-        'objects of one class are no landmarks by it, use the format detection3d_track or'
-        ' detection3d_anonymous; print each tag once',
-    RejectionReason.BAD_COVARIANCE.value:
-        'give variances of x, y and z above zero, or all zero if they are unknown',
-    RejectionReason.OUT_OF_RANGE.value: 'give metres and m^2, see max_range'}
-#: Name in reports of what is on topics of the team and of an unknown robot.
-UNKNOWN_ROBOT = 'unknown robot'
 
 
 class AdapterSession:
@@ -98,11 +87,8 @@ class AdapterSession:
             **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
             LANDMARK_IDS: outgoing.TEXT_TYPE, DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
         self._stamps = {name: DistinctStamps() for name in self.robots}
-        # The name of an ignored object, by the robot of its topic, '' for those of the team.
-        self._ignored: dict[str, str] = {}
-        self._counts: dict[str, Counter[str]] = {
-            name: Counter(messages=0, landmarks=0, robots=0)
-            for name in (*self.robots, UNKNOWN_ROBOT)}
+        self._counts = AdapterCounts(
+            self.robots, self.object_topics, self._frames, self._queue, self._ids)
 
     def receive(self, arrived: RawMessage) -> None:
         """Add a message, or count its rejection."""
@@ -134,18 +120,7 @@ class AdapterSession:
 
     def counts(self) -> Iterator[RobotCounts]:
         """Yield each robot, a warning or '', and the counts of its messages and observations."""
-        counts = {name: Counter(of_robot) for name, of_robot in self._counts.items()}
-        for origin, number in self._queue.waiting().items():
-            counts[self._reported(origin)]['waiting'] += number
-        for origin, number in self._queue.dropped.items():
-            counts[self._reported(origin)][f'rejected_{RejectionReason.WRONG_FRAME.value}'] += (
-                number)
-        for name, of_robot in counts.items():
-            if name != UNKNOWN_ROBOT or of_robot.total() > of_robot['ignored']:
-                values = {**of_robot, 'waiting': of_robot['waiting']}
-                rejected = self._frames.rejected.total()
-                yield name, self._warning(name, of_robot), {
-                    **values, 'transforms_rejected': rejected}
+        return self._counts.report()
 
     def _topics(self, format_name: str) -> Iterator[str]:
         """Yield the topics of a format: transforms are on those of TF, as parameters say."""
@@ -162,18 +137,18 @@ class AdapterSession:
         if not self._frames.knows_base(name):
             message = decoded_as(arrived, ODOMETRY)
             if message is None:
-                self._reject(name, RejectionReason.BAD_MESSAGE)
+                self._counts.reject(name, RejectionReason.BAD_MESSAGE)
             else:
                 self._frames.add_odometry(name, message)
 
     def _receive_objects(self, name: str, topic: str, arrived: RawMessage) -> None:
         object_format, is_used = self._formats[topic]
         if len(arrived.raw) > MAX_MESSAGE_SIZE:
-            self._reject(name, RejectionReason.TOO_LARGE)
+            self._counts.reject(name, RejectionReason.TOO_LARGE)
             return
         message = decoded_as(arrived, object_format.type_name)
         if message is None:
-            self._reject(name, RejectionReason.BAD_MESSAGE)
+            self._counts.reject(name, RejectionReason.BAD_MESSAGE)
             return
         for sensed in object_format.read(message):
             named = [item._replace(name=self._common_name(item.name)) for item in sensed.objects]
@@ -181,8 +156,7 @@ class AdapterSession:
                 item for item in named
                 if not item.name or is_used(item.name) or self._carrier(item.name)]
             if len(used) < len(named):
-                self._counts[name or UNKNOWN_ROBOT]['ignored'] += len(named) - len(used)
-                self._note_ignored(name, sensed.header.frame_id.lstrip('/'), [
+                self._counts.ignore(name, sensed.header.frame_id.lstrip('/'), [
                     item.name for item in named if item not in used])
             # A message without objects is an empty scan, one with others only is none.
             if used or not sensed.objects:
@@ -192,14 +166,6 @@ class AdapterSession:
         """Return the name of an object without that of the robot that sees it."""
         prefix, slash, common = name.partition('/')
         return common if slash and prefix in self.robots and name not in self._carriers else name
-
-    def _note_ignored(self, name: str, frame: str, ignored: Sequence[str]) -> None:
-        """Store an example of ignored names, except of links of a robot and its odometry."""
-        if not any(
-            self._frames.is_base(robot, frame) or self._frames.is_fixed(robot, frame)
-            for robot in self.robots
-        ):
-            self._ignored[name] = ignored[-1]
 
     def _add(self, name: str, sensed: SensedObjects) -> None:
         """Add the valid objects of a message to those that wait for the pose of their sensor."""
@@ -214,14 +180,14 @@ class AdapterSession:
             if len(sensed.objects) > MAX_MESSAGE_OBJECTS:
                 raise incoming.RejectedError(RejectionReason.TOO_LARGE)
         except incoming.RejectedError as rejected:
-            self._reject(robot, rejected.reason)
+            self._counts.reject(robot, rejected.reason)
             return
         detected = []
         for item in map(object_formats.detected, sensed.objects):
             if isinstance(item, DetectedObject):
                 detected.append(item)
             else:
-                self._reject(robot, item)
+                self._counts.reject(robot, item)
         self._queue.add(origin, ObjectScan(from_time(sensed.header.stamp), detected, pose))
 
     def _published(
@@ -235,7 +201,7 @@ class AdapterSession:
         robots = self._valid(robot, [
             (self.robots[name].id, name, observation) for name, observation in self._robots(
                 robot, [item for item in near if self._carrier(item.name)], sensor).items()])
-        self._counts[robot].update(messages=1, landmarks=len(landmarks), robots=len(robots))
+        self._counts.add(robot, messages=1, landmarks=len(landmarks), robots=len(robots))
         frame, ids = self._frames.base(robot), [id_ for id_, _, _ in landmarks]
         points, R = _stacked([observation for _, _, observation in landmarks])
         stamp = scan.stamp
@@ -258,7 +224,7 @@ class AdapterSession:
         near = [
             item for item in detected
             if np.linalg.norm(item.pose[:3, 3]) <= self._settings.max_range]
-        self._reject(robot, RejectionReason.OUT_OF_RANGE, len(detected) - len(near))
+        self._counts.reject(robot, RejectionReason.OUT_OF_RANGE, len(detected) - len(near))
         return near
 
     def _landmarks(
@@ -270,9 +236,9 @@ class AdapterSession:
         kept = []
         for id_, item in zip(ids, detected):
             if id_ is None:
-                self._reject(robot, RejectionReason.BAD_ID)
+                self._counts.reject(robot, RejectionReason.BAD_ID)
             elif id_ != NO_ID and number[id_] > 1:
-                self._reject(robot, RejectionReason.DUPLICATE_ID)
+                self._counts.reject(robot, RejectionReason.DUPLICATE_ID)
             else:
                 kept.append((id_, item))
         return kept
@@ -285,11 +251,11 @@ class AdapterSession:
         for tag in tags:
             carrier = self._carrier(tag.name)
             if carrier == robot:
-                self._reject(robot, RejectionReason.SELF_OBSERVATION)
+                self._counts.reject(robot, RejectionReason.SELF_OBSERVATION)
                 continue
             centre = objects.carrier_position(tag, self._tag_depths[carrier], self._noise)
             observed = objects.planar_observation(centre, sensor, self._noise)
-            self._counts[robot]['further_tags'] += carrier in found
+            self._counts.add(robot, further_tags=int(carrier in found))
             if carrier not in found or np.trace(observed.R) < np.trace(found[carrier].R):
                 found[carrier] = observed
         return {name: found[name] for name in self.robots if name in found}
@@ -307,7 +273,7 @@ class AdapterSession:
             *_stacked([of_one for _, _, of_one in observations]))
         for reason in faults:
             if reason is not None:
-                self._reject(robot, reason)
+                self._counts.reject(robot, reason)
         return [item for item, reason in zip(observations, faults) if reason is None]
 
     def _new_ids(self) -> Iterator[Publication]:
@@ -317,70 +283,6 @@ class AdapterSession:
             self._published_ids = version
             self._save(self._ids.by_name)
             yield LANDMARK_IDS, outgoing.json_text(self._ids.by_name)
-
-    def _reported(self, origin: Origin) -> str:
-        return self._queue.owner(origin) or UNKNOWN_ROBOT
-
-    def _reject(self, robot: str, reason: RejectionReason, count: int = 1) -> None:
-        if count:
-            self._counts[robot or UNKNOWN_ROBOT][f'rejected_{reason.value}'] += count
-
-    def _warning(self, name: str, counts: Counter[str]) -> str:
-        """Return the sentence on the most serious condition of a robot, '' if all is well."""
-        origins = self._queue.unknown()
-        frames = [origin.frame for origin in origins if self._reported(origin) == name]
-        if frames and self._frames.is_fixed(name, frames[0]):
-            return (
-                f'the frame {frames[0]!r} is that of a map or of odometry: publish detections in'
-                ' the frame of their camera')
-        if frames:
-            return _unknown_pose(name, frames[0], self._frames)
-        if self._ids.conflicts:
-            return (
-                f'{len(self._ids.conflicts)} names have no ID of their own, such as'
-                f' {min(self._ids.conflicts)!r}: give them IDs in ids_file')
-        if name != UNKNOWN_ROBOT and not counts['messages']:
-            return self._why_no_messages(name, origins)
-        rejected = Counter({
-            key.removeprefix('rejected_'): n for key, n in counts.items()
-            if key.startswith('rejected_')})
-        used = counts['landmarks'] + counts['robots']
-        if used:
-            # What is too far away may be so on purpose.
-            del rejected[RejectionReason.OUT_OF_RANGE.value]
-        if rejected.total() <= used:
-            return ''
-        reason, _ = rejected.most_common(1)[0]
-        return f'{"most" if used else "all"} detections are rejected, most as {reason}' + (
-            f': {CURES[reason]}' if reason in CURES else '')
-
-    def _why_no_messages(
-        self, name: str, origins: Sequence[Origin]
-    ) -> str:
-        """Return why no message of a robot was used."""
-        ignored = self._ignored.get(name) or self._ignored.get('')
-        if ignored:
-            return (
-                "no object has a name that matches the parameter 'names', for example"
-                f' {ignored!r}')
-        if not all(map(self._queue.owner, origins)):
-            return f'no detections that are known to be its own, see {UNKNOWN_ROBOT}'
-        topics = ', '.join(topic for topic in self._formats if topic.startswith(f'{name}/'))
-        return f'no detections: publish them on {topics or "/tf"}'
-
-
-def _unknown_pose(name: str, frame: str, of_robots: SensorFrames) -> str:
-    """Return the sentence on a sensor whose robot, or whose pose on its robot, is unknown."""
-    if name == UNKNOWN_ROBOT:
-        return (
-            f'the frame {frame!r} is of no robot, or which one is not known from odometry'
-            ' and static transforms: begin it with the name of the robot, or publish on'
-            ' <robot>/tf')
-    if not frame:
-        return f'the messages have no frame_id: set it in the detector, or set {name}.sensor_pose'
-    return (
-        f'no static transform from the frame {frame!r} to the base frame {of_robots.base(name)!r}:'
-        f' publish it on /tf_static, or set {name}.sensor_pose')
 
 
 def _stacked(observations: list[PlanarObservation]) -> tuple[Array, Array]:
