@@ -212,7 +212,6 @@ def _is_definite(information: Array) -> bool:
 
 
 def _without(record: Record, outliers: Collection[ObservationKey]) -> Record:
-    """Return a record without outliers."""
     if isinstance(record, Scan):
         return replace(record, observations=tuple(
             o for o in record.observations if (record.robot, record.stamp, o.id) not in outliers))

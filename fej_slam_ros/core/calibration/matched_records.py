@@ -58,7 +58,6 @@ def with_matched_ids(
 
 
 def _landmark_ids(record: Record) -> Collection[int]:
-    """Return the landmark IDs in a record."""
     if isinstance(record, Scan):
         return [o.id for o in record.observations]
     return record.positions if isinstance(record, TrueLandmarks) else ()

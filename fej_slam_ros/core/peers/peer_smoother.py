@@ -143,7 +143,6 @@ class PeerSmoother(TeamSmoother):
         self.logs.publish(LogName(self.robot, peer), contents(result.message))
 
     def not_in_map(self) -> dict[str, str]:
-        """Return the reason for each robot that is not in ``map``."""
         known = super().not_in_map() if self._union is None else self._union.not_in_map()
         in_map = {
             name for name, trajectory in self.trajectories.items() if trajectory.frame == MAP}
@@ -155,7 +154,6 @@ class PeerSmoother(TeamSmoother):
             for name in self.robots if name not in in_map}
 
     def state_hash(self) -> str:
-        """Return the SHA-256 hash of the last solution."""
         return super().state_hash() if self._union is None else self._union.state_hash()
 
     def _landmarks_of(self, own: RobotTrajectory, solved: SmoothedMap) -> Indices:

@@ -117,7 +117,6 @@ class LiveFiles(LiveWriter):
 
     @property
     def error(self) -> str:
-        """Return why the files are not complete or not up to date, '' if they are."""
         errors = [*filter(None, [super().error])]
         if errors and self._poses:
             errors.append(f'{len(self._poses)} poses wait in memory')

@@ -65,7 +65,6 @@ class SmootherNode(SessionNode):
         return session
 
     def configure(self) -> None:
-        """Start a session and create its outputs."""
         self._start_worker()
         self._configured.callback(self._end_worker)
         super().configure()

@@ -72,7 +72,6 @@ class EstimatorOutputs(Outputs[Estimator]):
 
     @property
     def topics(self) -> dict[str, str]:
-        """Return the types of the topics published for the present team, by topic."""
         return super().topics | {
             relative_topic(*pair): ROBOT_TYPES['pose'] for pair in self._pairs}
 

@@ -76,12 +76,10 @@ class EstimatorSession(Session):
             folder, self.estimator.robots, force)
 
     def receive(self, message: RawMessage) -> Iterable[Publication]:
-        """Add a message; return the publications that wait for no step."""
         super().receive(message)
         return self.outputs.predictions(self._is_wanted)
 
     def write_files(self) -> dict[str, Any]:
-        """Complete the files of a closed run; return the content of ``summary.json``."""
         content = {
             'state_hash': self.state_hash(),
             **estimator_summary(self.estimator, self.inputs, self.settings),
@@ -98,7 +96,6 @@ class EstimatorSession(Session):
             self.estimator, messages, self.log.add, self.inputs.start_check.held())
 
     def change_team(self, names: object) -> None:
-        """Add and remove robots during the run, for a new value of the parameter ``robots``."""
         before = self.estimator.robots
         robots = parameters.changed_team(self.estimator.settings, before, names)
         remaining = [robot.name for robot in robots]
@@ -139,12 +136,10 @@ class EstimatorSession(Session):
             for name in values if later[name] != earlier[name]]
 
     def present_settings(self) -> Settings:
-        """Return the settings of estimation at present, with the present team."""
         return replace(
             self.estimator.settings, robots=tuple(self.estimator.robots.values()))
 
     def _last_step_of(self, robot: str) -> int:
-        """Return the stamp [ns] of the last step of a robot, or say why it cannot restart."""
         groups = self.estimator.groups
         if robot in groups.not_in_map:
             raise UsageError(f'{robot} is not in map: {groups.not_in_map[robot]}')
@@ -155,7 +150,6 @@ class EstimatorSession(Session):
         return groups.team.robots[robot].stamp
 
     def _checkpoint_content(self) -> bytes:
-        """Return the content of a checkpoint of the run."""
         return checkpoint.content_of(
             self.settings, self.estimator, self.inputs, self.prior, self.changes)
 

@@ -129,7 +129,6 @@ class LateStarts(StartCheck):
         self._records_needed = defaultdict(lambda: 2, dict.fromkeys(held, 3))
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
-        """Return the odometry to pass on now; what is held is returned by a later call."""
         robot = arrived.record.robot
         if not self._needs_check(robot):
             return super().admit(arrived)
@@ -156,11 +155,9 @@ class LateStarts(StartCheck):
             yield from self._held.pop(robot)
 
     def topics(self) -> list[str]:
-        """Return the topics of which the number of missed messages is needed."""
         return [_topic(robot) for robot in self._estimator.robots if self._needs_check(robot)]
 
     def _missed(self, robot: str) -> int | None:
-        """Return the number of messages missed before the first one held, None if unknown."""
         if robot not in self._numbers_missed:
             missed = self._messages.missed(_topic(robot))
             if missed is None:
@@ -242,7 +239,6 @@ class LateAnchor(StartCheck):
         return super().remove_robot(robot)
 
     def topics(self) -> list[str]:
-        """Return the topics of which the number of missed messages is needed."""
         return [] if self._is_checked else [_topic(self._anchor)]
 
     def _check(self, first: Odometry, missed: int | None) -> None:

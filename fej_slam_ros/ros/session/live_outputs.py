@@ -37,7 +37,6 @@ class LiveOutputs(EstimatorOutputs):
 
     @property
     def topics(self) -> dict[str, str]:
-        """Return the types of the topics published for the present team, by topic."""
         return super().topics | {
             f'{name}/{kind}': type_name
             for name in self._consumer.robots for kind, type_name in PREDICTED_TYPES.items()}

@@ -59,7 +59,6 @@ class PeerInputs(Inputs):
 
     @property
     def static_topics(self) -> dict[str, str]:
-        """Return the types of the topics of static transforms, by topic."""
         return dict.fromkeys(self.frames.static_topics(self._consumer.robot), TF_TYPE)
 
 
@@ -183,7 +182,6 @@ class PeerSession(SmootherSession):
         return _solved_rendezvous, rendezvous_task(self.team.logs, self.settings.estimation, peer)
 
     def final_solving(self) -> Solving:
-        """Return what computes the solution at the end of the input."""
         return smoothed_union, self.team.union_task()
 
     def adopt(self, solution: Any) -> Iterator[Publication]:
@@ -201,7 +199,6 @@ class PeerSession(SmootherSession):
             yield from self.outputs.of_rendezvous(peer, result)
 
     def adopt_finally(self, final: Any) -> Iterator[Publication]:
-        """Adopt the solution at the end of the input and yield its publications."""
         self.team.adopt_finally(final)
         yield from self._adopted()
 
@@ -235,11 +232,9 @@ class PeerSession(SmootherSession):
             self.settings, estimation=replace(estimation, robots=tuple(robots)))
 
     def present_settings(self) -> Settings:
-        """Return the settings of estimation at present, with the present team."""
         return self.settings.estimation
 
     def close(self) -> Iterator[Publication]:
-        """Process the last steps at the end of the input, and solve for everything."""
         yield from super().close()
         self.team.logs.flush()
         self._store()

@@ -146,7 +146,6 @@ class SmootherSession(Session):
         yield from self.adopt(final.team_map)
 
     def write_files(self) -> dict[str, Any]:
-        """Complete the files of a closed run; return the content of ``summary.json``."""
         content = {
             'state_hash': self.state_hash(),
             **smoother_summary(self.team, self.inputs, self.settings), **self.source}
@@ -176,14 +175,12 @@ class SmootherSession(Session):
         }
 
     def _last_step_of(self, robot: str) -> int:
-        """Return the stamp [ns] of the last step of a robot, or say why it cannot restart."""
         trajectory = self.team.trajectories.get(robot)
         if trajectory is None or trajectory.is_lost:
             raise UsageError(f'{robot} is in no map: {self.team.not_in_map()[robot]}')
         return trajectory.newest().stamp
 
     def change_team(self, names: object) -> None:
-        """Add and remove robots during the run, for a new value of the parameter ``robots``."""
         robots = parameters.changed_team(
             self.settings.estimation, self.team.robots, names)
         _refuse_exact_odometry(replace(self.settings.estimation, robots=tuple(robots)))
@@ -195,11 +192,9 @@ class SmootherSession(Session):
         self.team.change_team(robots)
 
     def present_settings(self) -> Settings:
-        """Return the settings of estimation at present, with the present team."""
         return replace(self.settings.estimation, robots=tuple(self.team.robots.values()))
 
     def _checkpoint_content(self) -> bytes:
-        """Return the content of a checkpoint of the run."""
         return checkpoint.content_of_smoother(self.settings, self.team, self.inputs)
 
     def _adopted(self) -> Iterator[Publication]:
