@@ -177,17 +177,17 @@ class FrameGroups:
             self.team.filter.predict(Motion(robot.name, stamp, u, Q))
         self.not_in_map.pop(robot.name, None)
 
-    def restart(self, robot: RobotSettings, stamp: int, reason: str) -> None:
+    def restart(self, robot: str, stamp: int, reason: str) -> None:
         """Restart a robot whose pose is unknown: it relocalizes by joining with a new map."""
-        self._take_out(robot.name)
+        self._take_out(robot)
         # An anchor that has observed no landmark yet may begin ``map`` anew where it is, unless
         # that is a given place: then there is no step 0.
-        if robot.name == self._settings.anchor and (
-                self.is_map_given() or robot.name in self._void_starts):
+        if robot == self._settings.anchor and (
+                self.is_map_given() or robot in self._void_starts):
             self.is_initialized = True
-        if self.may_leave(robot.name):
-            self._void_starts[robot.name] = reason
-        self.begin(robot, stamp)
+        if self.may_leave(robot):
+            self._void_starts[robot] = reason
+        self.begin(self.robots[robot], stamp)
 
     def place(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
         """

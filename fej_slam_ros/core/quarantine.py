@@ -160,7 +160,7 @@ class Quarantine:
     def _restart(self, robot: str, stamp: int, reason: str) -> None:
         self._lost_robots.forget_scans(robot)
         self._statistics.count_restart(robot, reason)
-        self._groups.restart(self._groups.robots[robot], stamp, reason)
+        self._groups.restart(robot, stamp, reason)
 
     def _reject(self, robot: str, stamp: int, id_: int, observed: str | None = None) -> None:
         self._statistics.reject_observation(

@@ -295,7 +295,7 @@ class TeamJoiner:
 
     def _restart(self, robot: str, stamp: int, reason: str) -> None:
         self._statistics.count_restart(robot, reason)
-        self._groups.restart(self._groups.robots[robot], stamp, reason)
+        self._groups.restart(robot, stamp, reason)
 
     def _reject(
         self, key: RendezvousKey, reason: RejectionReason, d2: float | None = None,

@@ -49,7 +49,7 @@ def test_a_robot_that_restarts_leaves_its_map_behind_in_a_frame_of_its_own():
     groups = groups_of('r1', 'r2')
     landmark(groups, 'r2', 7)
 
-    groups.restart(groups.robots['r2'], 9, 'lost')
+    groups.restart('r2', 9, 'lost')
 
     assert frames(groups) == {'map': ['r1'], 'r2/before/map': [], 'r2/map': ['r2']}
     assert [list(group.state.landmarks) for group in groups] == [[], [('', 7)], []]
@@ -72,7 +72,7 @@ def test_only_the_last_map_that_a_robot_left_is_kept():
     groups = groups_of('r1', 'r2')
     for number in (7, 8, 9):
         landmark(groups, 'r2', number)
-        groups.restart(groups.robots['r2'], number, 'lost')
+        groups.restart('r2', number, 'lost')
 
     assert [list(group.state.landmarks) for group in groups] == [[], [('', 9)], []]
 
@@ -80,7 +80,7 @@ def test_only_the_last_map_that_a_robot_left_is_kept():
 def test_a_frame_without_robots_and_landmarks_vanishes():
     groups = groups_of('r1', 'r2')
 
-    groups.restart(groups.robots['r2'], 9, 'lost')
+    groups.restart('r2', 9, 'lost')
     assert frames(groups) == {'map': ['r1'], 'r2/map': ['r2']}
     groups.leave('r2')
     assert frames(groups) == {'map': ['r1']}
@@ -111,7 +111,7 @@ def test_a_lost_anchor_restarts_at_its_initial_pose_only_before_step_0(is_initia
     groups = groups_of('r1', 'r2')
     groups.is_initialized = is_initialized
 
-    groups.restart(groups.robots['r1'], 9, 'lost')
+    groups.restart('r1', 9, 'lost')
 
     assert groups.of('r1').frame == frame
     assert groups.may_leave('r1') is is_initialized
@@ -124,7 +124,7 @@ def test_a_lost_anchor_restarts_at_its_initial_pose_only_before_step_0(is_initia
 def test_a_lost_anchor_does_not_return_to_its_initial_pose_in_a_map_that_is_given(given):
     groups = groups_of('r1', 'r2', **given)
 
-    groups.restart(groups.robots['r1'], 9, 'its odometry jumped')
+    groups.restart('r1', 9, 'its odometry jumped')
 
     assert groups.of('r1').frame == 'r1/map'
     assert groups.not_in_map['r1'] == 'its odometry jumped'
@@ -221,7 +221,7 @@ def test_a_robot_that_is_placed_in_map_no_longer_has_a_reason_not_to_be_there():
 def test_a_robot_that_had_joined_its_previous_map_again_may_leave_it_to_others():
     groups = groups_of('r1', 'r2', 'r3')
     landmark(groups, 'r2', 7)
-    groups.restart(groups.robots['r2'], 9, 'lost')
+    groups.restart('r2', 9, 'lost')
     previous = next(group for group in groups.others if group.is_previous)
     for robot in ('r2', 'r3'):
         own = groups.of(robot)
