@@ -158,6 +158,17 @@ class Domain:
             lambda raw: messages.append(deserialize(raw, type_name)), reliable(1000), raw=True)
         return messages
 
+    def wait_for_reports(self):
+        """
+        Return a list that fills with diagnostics, once the first ones have arrived.
+
+        DDS discovers endpoints in order: what was listened to before is connected then, too.
+
+        """
+        messages = self.listen('/diagnostics', DIAGNOSTICS)
+        self.until(lambda: messages)
+        return messages
+
     def send(self, *messages):
         """Publish raw messages, each topic when it has a subscriber."""
         for message in messages:

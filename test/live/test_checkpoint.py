@@ -34,9 +34,7 @@ def start_estimator(domain, path, **values):
     parameters = write_parameters(path, **LIVE, **values)
     estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
     poses = domain.record('r1/pose', live_helpers.POSE)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    # DDS discovers endpoints in order: when a report arrives, the poses are connected.
-    domain.until(lambda: reports)
+    domain.wait_for_reports()
     return estimator, poses
 
 

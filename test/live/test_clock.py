@@ -40,8 +40,7 @@ def play_to(domain, folder, bag, times, *play_options, **values):
     parameters = write_parameters(
         folder / 'live.yaml', **LIVE, output=str(folder / 'live'), **values)
     estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    domain.until(lambda: reports)
+    reports = domain.wait_for_reports()
     for _ in range(times):
         assert domain.finish(domain.start('play', bag, '--rate', 6, *play_options)) == (0, '')
     status, errors = domain.finish(estimator, signal.SIGINT)

@@ -46,8 +46,7 @@ def test_a_sensor_that_falls_silent_is_a_warning(tmp_path):
 
     with live_helpers.Domain() as domain:
         domain.start('detector', '--ros-args', '-p', 'robots:=[r1]')
-        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-        domain.until(lambda: reports)
+        reports = domain.wait_for_reports()
         while not counted(reports, 'r1', 'scans'):
             domain.send(*sent[:200])
             before = len(reports)
@@ -99,8 +98,7 @@ def test_the_log_names_the_topics_that_are_read_after_remapping():
         detector = domain.start(
             'detector', '--ros-args', '-r', '__ns:=/fleet', '-p', 'robots:=[r1, r2]',
             '-r', 'r1/scan:=/hokuyo')
-        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-        domain.until(lambda: reports)
+        domain.wait_for_reports()
         _, log = domain.finish(detector, signal.SIGINT)
 
     # Topics of transforms follow, where tf2_msgs is installed.
@@ -112,8 +110,7 @@ def test_reports_name_the_namespace_and_a_missing_clock():
     with live_helpers.Domain() as domain:
         domain.start('detector', '--ros-args', '-r', '__ns:=/fleet', '-p', 'robots:=[r1]',
                      '-p', 'use_sim_time:=true')
-        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-        domain.until(lambda: reports)
+        reports = domain.wait_for_reports()
 
     status, = reports[0].status
     assert status.name == 'fleet/detector: r1'
@@ -134,8 +131,7 @@ def test_an_incompatible_publisher_is_named_with_the_parameter_that_resolves_it(
         domain.start(
             'detector', '--ros-args', '-p', 'robots:=[r1]', '-p',
             'qos_overrides./r1/scan.subscription.reliability:=reliable')
-        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-        domain.until(lambda: reports)
+        reports = domain.wait_for_reports()
         domain.node.create_publisher(
             live_helpers.message_class('sensor_msgs/msg/LaserScan'), '/r1/scan',
             qos.best_effort(1))

@@ -115,9 +115,7 @@ def test_victoria_park_live_over_three_processes_equals_its_replay(
 
     estimator = domain.start('estimator', '--ros-args', '--params-file', parameters)
     poses = record_poses(domain)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    # DDS discovers endpoints in order: when a report arrives, the poses are connected.
-    domain.until(lambda: reports)
+    reports = domain.wait_for_reports()
     assert domain.finish(domain.start('play', bag, '--rate', 50)) == (0, '')
     status, _ = domain.finish(estimator, signal.SIGINT)
     domain.until(arrived(poses, expected))

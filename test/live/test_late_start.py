@@ -68,6 +68,14 @@ def newest_pose(domain, robots):
     return poses[-1]
 
 
+def assert_ahead(pose):
+    """Check that r2 is as far ahead of [5, 1] as its odometry has counted; return the count."""
+    sent = round((pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec) / 0.1)
+    assert pose.header.frame_id == 'map'
+    assert pose.pose.pose.position.x == pytest.approx(5.0 + 0.1 * sent, abs=1e-9)
+    return sent
+
+
 @pytest.mark.parametrize('missed', [1, 100])
 def test_a_moving_robot_that_is_heard_late_is_where_its_odometry_says(domain, context, missed):
     robots = Robots(domain, context)
@@ -76,10 +84,7 @@ def test_a_moving_robot_that_is_heard_late_is_where_its_odometry_says(domain, co
 
     pose = newest_pose(domain, robots)
 
-    # r2 is as far ahead of [5, 1] as its odometry has counted since its origin.
-    sent = round((pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec) / 0.1)
-    assert pose.header.frame_id == 'map'
-    assert pose.pose.pose.position.x == pytest.approx(5.0 + 0.1 * sent, abs=1e-9)
+    sent = assert_ahead(pose)
     assert pose.pose.pose.position.y == pytest.approx(1.0, abs=1e-9)
     # Each of the increments has a variance of 0.01 m^2/s^2 times (0.1 s)^2, with errors of the
     # heading on top.
@@ -93,9 +98,7 @@ def test_odometry_may_begin_anywhere_if_its_first_message_is_heard(domain, conte
 
     pose = newest_pose(domain, robots)
 
-    sent = round((pose.header.stamp.sec + 1e-9 * pose.header.stamp.nanosec) / 0.1)
-    assert pose.header.frame_id == 'map'
-    assert pose.pose.pose.position.x == pytest.approx(5.0 + 0.1 * sent, abs=1e-9)
+    assert_ahead(pose)
 
 
 def test_a_robot_whose_motion_is_unknown_is_not_in_map_and_says_why(domain, context):

@@ -127,8 +127,7 @@ def test_a_restored_run_has_the_changed_parameters(domain, tmp_path):
 def test_an_unknown_parameter_is_a_warning_with_the_nearest_name(domain, tmp_path):
     path = write_parameters(tmp_path / 'shared.yaml', **TEAM, gate_probabilty=0.9, use_gui=True)
     estimator = domain.start('estimator', '--ros-args', '--params-file', path)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    domain.until(lambda: reports)
+    domain.wait_for_reports()
 
     names = domain.ask('/estimator/list_parameters', services.ListParameters).result.names
     _, errors = domain.finish(estimator, 2)

@@ -62,18 +62,23 @@ def poses(folder):
         for name in 'pq'}
 
 
-def test_each_robot_ends_with_the_central_result(domain, tmp_path):
-    expected_hash, expected = smoothed(tmp_path)
-    smoothers = [
-        domain.start('smoother', '--ros-args', '--params-file', peer_parameters(
-            tmp_path, name, other, exchange_file=str(tmp_path / f'{name}.exchange')))
-        for name, other in ('pq', 'qp')]
+def play_and_end(domain, smoothers):
+    """Play the rendezvous until q is in map, and end the smoothers."""
     base_nodes = domain.listen('q/base_node', live_helpers.POSE)
     assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 4)) == (0, '')
     domain.until(lambda: 'map' in {message.header.frame_id for message in base_nodes})
     for smoother in smoothers:
         status, errors = domain.finish(smoother, signal.SIGINT)
         assert status == 0, errors
+
+
+def test_each_robot_ends_with_the_central_result(domain, tmp_path):
+    expected_hash, expected = smoothed(tmp_path)
+    smoothers = [
+        domain.start('smoother', '--ros-args', '--params-file', peer_parameters(
+            tmp_path, name, other, exchange_file=str(tmp_path / f'{name}.exchange')))
+        for name, other in ('pq', 'qp')]
+    play_and_end(domain, smoothers)
 
     # Both make the same bits where they have the same anchor.
     assert summary_of(tmp_path / 'p')['state_hash'] == expected_hash
@@ -106,12 +111,7 @@ def test_a_robot_becomes_a_peer_of_a_running_smoother(domain, tmp_path):
         result, = domain.ask(
             '/smoother_of_p/set_parameters', services.SetParameters, parameters=[message]).results
         assert result.successful is is_right, result.reason
-    base_nodes = domain.listen('q/base_node', live_helpers.POSE)
-    assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 4)) == (0, '')
-    domain.until(lambda: 'map' in {message.header.frame_id for message in base_nodes})
-    for smoother in smoothers:
-        status, errors = domain.finish(smoother, signal.SIGINT)
-        assert status == 0, errors
+    play_and_end(domain, smoothers)
 
     summary = summary_of(tmp_path / 'p')
     assert summary['state_hash'] == expected_hash
@@ -157,8 +157,7 @@ def test_the_last_steps_of_a_robot_are_released_and_solved_although_hellos_go_on
             tmp_path / 'r1.yaml', robots=['r1'], peers=['r2'],
             **live_helpers.reliable_inputs(['r1'])))
     published = domain.listen('r1/pose', live_helpers.POSE)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    domain.until(lambda: reports)
+    reports = domain.wait_for_reports()
     records = [record for record in meeting(20) if getattr(record, 'robot', '') == 'r1']
     domain.send(*map(raw_record, records))
 

@@ -23,8 +23,7 @@ def test_poses_of_a_robot_are_predicted_while_it_waits_for_a_slow_one(domain):
     settled = domain.listen('r1/pose', live_helpers.POSE)
     predicted = domain.listen('r1/predicted_pose', live_helpers.POSE)
     fused = domain.listen('r1/odometry/filtered', ODOMETRY)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    domain.until(lambda: reports)
+    domain.wait_for_reports()
 
     domain.send(*map(raw_record, meeting()))
     domain.until(lambda: 400 in stamps(predicted) and 200 in stamps(settled))

@@ -96,9 +96,8 @@ def test_a_killed_smoother_continues_from_its_checkpoint(domain, tmp_path):
     assert run_verb('smooth', *words) == 0
     for number in (30, 20):
         killed = domain.start('smoother', '--ros-args', '--params-file', parameters)
-        reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
         poses = domain.listen('q/pose', live_helpers.POSE)
-        domain.until(lambda reports=reports: reports)
+        domain.wait_for_reports()
         player = domain.start('play', RENDEZVOUS, '--rate', 10)
         domain.until(lambda poses=poses, number=number: len(poses) >= number)
         until((tmp_path / 'saved.part').exists, lambda: None)
@@ -106,8 +105,7 @@ def test_a_killed_smoother_continues_from_its_checkpoint(domain, tmp_path):
         end_session(player)
 
     smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    domain.until(lambda: reports)
+    domain.wait_for_reports()
     assert domain.finish(domain.start('play', RENDEZVOUS, '--rate', 10)) == (0, '')
     status, errors = domain.finish(smoother, signal.SIGINT)
 

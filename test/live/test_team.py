@@ -108,8 +108,7 @@ def test_robots_are_added_to_a_smoother_and_removed(domain, tmp_path):
         tmp_path / 'team.yaml', **TEAM | {'robots': ['r1']}, output=str(tmp_path / 'out'),
         **live_helpers.reliable_inputs(['r1', 'r2']))
     smoother = domain.start('smoother', '--ros-args', '--params-file', parameters)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-    domain.until(lambda: reports)
+    domain.wait_for_reports()
 
     assert set_robots(domain, ['r1', 'r2'], 'smoother').successful
     poses = domain.listen('r2/pose', live_helpers.POSE)

@@ -386,10 +386,7 @@ def test_a_signal_ends_the_node_with_last_steps_and_complete_files(
         **live_helpers.reliable_inputs(TEAM['robots']))
     estimator = domain.start('estimator', '--ros-args', '--params-file', given)
     poses = domain.listen('r1/pose', live_helpers.POSE)
-    reports = domain.listen('/diagnostics', live_helpers.DIAGNOSTICS)
-
-    # Where a report comes through, so do the poses.
-    domain.until(lambda: reports)
+    domain.wait_for_reports()
     domain.send(*map(raw_record, meeting(6)))
     domain.until(lambda: len(poses) == 4)
     status, errors = domain.finish(estimator, number)
