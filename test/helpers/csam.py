@@ -10,11 +10,14 @@ from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.rendezvous_alignment import rendezvous_between
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.geometry import compose, transform
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import Values
 from helpers.core import SmallTeam, turn, wrapped
+from helpers.records import team
 
 #: Covariance of robot-to-robot observations [m^2].
 R_ROBOT = np.array([[4e-4, 1e-4], [1e-4, 2e-4]])
@@ -92,6 +95,18 @@ def true_base_node(team, first, robot):
     """Return the true start of a robot in the frame of the start of the first one."""
     a, b = team.true_poses[first][0], team.true_poses[robot][0]
     return np.array([*(turn(a[2]).T @ (b - a)[:2]), wrapped(b[2] - a[2])])
+
+
+def smoothed(records, settings=None, solved=True, **options):
+    """Return a smoother after some records, and the poses that it yielded."""
+    smoother, poses = TeamSmoother(settings or team(), **options), []
+    for record in records:
+        smoother.add(record)
+        poses += smoother.take()
+    poses += smoother.close()
+    if solved:
+        smoother.adopt(solve(smoother.task()))
+    return smoother, poses
 
 
 def rendezvous_of(maps, measurements):

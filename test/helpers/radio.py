@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.rendezvous_window import contents, rendezvous_task, solve_rendezvous
@@ -16,6 +14,7 @@ from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union, UnionTask
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings
+from helpers.csam import smoothed
 
 #: Time between two calls of an exchange.
 TICK = NS // 10
@@ -32,15 +31,8 @@ def is_measurement(record):
 
 def central(records, settings):
     """Return the central smoother of measurements."""
-    team = TeamSmoother(settings)
-    for record in sorted(filter(is_measurement, records), key=lambda record: record.stamp):
-        team.add(record)
-        for _ in team.take():
-            pass
-    for _ in team.close():
-        pass
-    team.adopt(solve(team.task()))
-    return team
+    measurements = sorted(filter(is_measurement, records), key=lambda record: record.stamp)
+    return smoothed(measurements, settings)[0]
 
 
 class Robot:

@@ -15,6 +15,10 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 #: A millisecond in ns, and a nanosecond in ms.
 MS = 1_000_000
 A_NANOSECOND = 1e-6
+#: A covariance in which no two entries are alike, and C^T Q C for a quarter turn to the left,
+#: which takes (x, y) to (y, -x).
+Q = np.array([[4.0, 1.0, 0.5], [1.0, 2.0, 0.25], [0.5, 0.25, 1.0]])
+Q_TURNED = np.array([[2.0, -1.0, 0.25], [-1.0, 4.0, -0.5], [0.25, -0.5, 1.0]])
 
 
 def team(*names, known=(), **changes):

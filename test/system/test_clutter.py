@@ -70,6 +70,14 @@ class Run:
             f.key[1] for f in self.estimator.groups.team.state.confirmed_landmarks())
 
 
+def assert_consistent(runs):
+    nees = [
+        score.mean_nees_per_dof() for run in runs
+        for score in run.estimator.evaluation.scores.values()]
+    # Errors of a run last long: with numbers, runs have a standard deviation of 0.26.
+    assert abs(np.mean(nees) - 1.0) < 3.0 * 0.3 / math.sqrt(len(nees))
+
+
 @pytest.mark.parametrize('robots', [1, 2])
 @pytest.mark.parametrize(
     'seeds', [range(2), pytest.param(range(20), marks=pytest.mark.slow)], ids=['2', '20'])
@@ -85,11 +93,7 @@ def test_matches_are_correct_landmarks_unique_and_poses_consistent(
         assert set(landmarks.values()) == {1}
         assert len(landmarks) > 50
         assert max(landmarks) < CLUTTER
-    nees = [
-        score.mean_nees_per_dof() for run in runs
-        for score in run.estimator.evaluation.scores.values()]
-    # Errors of a run last long: with numbers, runs have a standard deviation of 0.26.
-    assert abs(np.mean(nees) - 1.0) < 3.0 * 0.3 / math.sqrt(len(nees))
+    assert_consistent(runs)
 
 
 def test_robots_that_start_with_an_uncertain_heading_close_no_loop_wrongly():
@@ -99,7 +103,4 @@ def test_robots_that_start_with_an_uncertain_heading_close_no_loop_wrongly():
     for run in runs:
         assert run.matches.false() < 0.01 * run.matches.count()
         assert set(run.landmarks().values()) == {1}
-    nees = [
-        score.mean_nees_per_dof() for run in runs
-        for score in run.estimator.evaluation.scores.values()]
-    assert abs(np.mean(nees) - 1.0) < 3.0 * 0.3 / math.sqrt(len(nees))
+    assert_consistent(runs)

@@ -15,6 +15,7 @@ from fej_slam_ros.core.records import (
     NS, Odometry, PosePrior, Scan, TruePose, UNKNOWN_POSE_COVARIANCE)
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import circles, pose_difference
+from helpers.csam import smoothed
 from helpers.records import robot_scan, team
 
 RECORDS = circles(seed=1, landmarks=30, loops=3)
@@ -37,18 +38,6 @@ def blind(records, begin, end):
     return [
         r for r in records
         if not (isinstance(r, Scan) and r.robot == 'r1' and begin < r.stamp <= end)]
-
-
-def smoothed(records, settings=None):
-    """Return a smoother after some records, and the poses that it yielded."""
-    smoother = TeamSmoother(settings or team())
-    poses = []
-    for record in records:
-        smoother.add(record)
-        poses += smoother.take()
-    poses += smoother.close()
-    smoother.adopt(solve(smoother.task()))
-    return smoother, poses
 
 
 @pytest.mark.parametrize('records', [ALONE, RECORDS], ids=['alone', 'team'])

@@ -7,11 +7,10 @@ from dataclasses import replace
 import pytest
 
 from fej_slam_ros.core.calibration.from_innovations import with_scales
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from fej_slam_ros.ros.session import simulation
+from helpers import csam
 from helpers.records import claiming, team
 
 #: Factors that are powers of two change no digit.
@@ -34,12 +33,7 @@ def estimated(settings, records):
 
 
 def smoothed(settings, records):
-    smoother = TeamSmoother(settings)
-    for record in records:
-        smoother.add(record)
-    list(smoother.close())
-    smoother.adopt(solve(smoother.task()))
-    return smoother.state_hash()
+    return csam.smoothed(records, settings)[0].state_hash()
 
 
 @pytest.mark.parametrize('result', [estimated, smoothed])

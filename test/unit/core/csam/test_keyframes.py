@@ -10,10 +10,10 @@ import pytest
 
 from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.csam.keyframes import KEYFRAME_TURN, Keyframes
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import Motion, Observation, Scan, TruePose
+from helpers import csam
 from helpers.core import circles, pose_difference
 from helpers.records import odometry, robot_scan, scan, team
 
@@ -22,13 +22,7 @@ RECORDS = circles(seed=1)
 
 def smoothed(records, distance, solved=True):
     """Return a smoother after some records, and the poses that it yielded."""
-    smoother = TeamSmoother(replace(team(), keyframe_distance=distance))
-    for record in records:
-        smoother.add(record)
-    poses = list(smoother.close())
-    if solved:
-        smoother.adopt(solve(smoother.task()))
-    return smoother, poses
+    return csam.smoothed(records, replace(team(), keyframe_distance=distance), solved)
 
 
 def moved(x, phi=0.0):

@@ -21,21 +21,11 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.least_squares import Values
 from helpers.core import circles, pose_difference, turn
+from helpers.csam import smoothed
 from helpers.records import MS, odometry, robot_scan, scan, team
 
 #: Robots with shared landmark IDs; the stated covariances are the true ones.
 RECORDS = circles(seed=1)
-
-
-def smoothed(records=RECORDS, settings=None, solved=True, **options):
-    """Return a smoother after some records, and the poses that it yielded."""
-    smoother = TeamSmoother(settings or team(), **options)
-    for record in records:
-        smoother.add(record)
-    poses = list(smoother.close())
-    if solved:
-        smoother.adopt(solve(smoother.task()))
-    return smoother, poses
 
 
 def final_poses(smoother, robot):
@@ -74,7 +64,7 @@ def test_a_single_robot_ends_at_the_minimum_of_its_measurements():
 
 
 def test_robots_with_shared_ids_end_in_map_and_are_consistent():
-    smoother, _ = smoothed()
+    smoother, _ = smoothed(RECORDS)
 
     scores = smoother.scores()
 
@@ -91,8 +81,8 @@ def test_robots_with_shared_ids_end_in_map_and_are_consistent():
 
 
 def test_the_result_does_not_depend_on_intermediate_solutions():
-    seldom, _ = smoothed(solve_every=10_000)
-    often, _ = smoothed(solve_every=7)
+    seldom, _ = smoothed(RECORDS, solve_every=10_000)
+    often, _ = smoothed(RECORDS, solve_every=7)
 
     for name in ('r1', 'r2'):
         assert_allclose(
@@ -101,8 +91,8 @@ def test_the_result_does_not_depend_on_intermediate_solutions():
 
 def test_the_anchor_pose_transforms_the_joint_map():
     at = (3.0, -2.0, 2.0)
-    reference, _ = smoothed()
-    displaced, _ = smoothed(settings=team(anchor_pose=at))
+    reference, _ = smoothed(RECORDS)
+    displaced, _ = smoothed(RECORDS, team(anchor_pose=at))
 
     assert_allclose(final_poses(displaced, 'r1')[0], at, atol=1e-12)
     for name in ('r1', 'r2'):
@@ -119,7 +109,7 @@ def test_an_uncertain_anchor_pose_adds_its_effect_on_all_estimates():
     at, sigma, h = np.array([3.0, -2.0, 1.2]), (0.1, 0.2, 0.05), 1e-3
 
     def solution(*pose, **options):
-        smoother, _ = smoothed(settings=team(anchor_pose=pose, **options))
+        smoother, _ = smoothed(RECORDS, team(anchor_pose=pose, **options))
         (solved,) = smoother.solution.maps
         of_robots = solved.trajectories['r1'], solved.trajectories['r2']
         (node,) = solved.base_nodes.values()
@@ -139,7 +129,7 @@ def test_an_uncertain_anchor_pose_adds_its_effect_on_all_estimates():
 
 
 def test_a_joint_map_without_the_anchor_is_in_the_frame_of_its_first_robot():
-    smoother, _ = smoothed(settings=team('r0', 'r2', 'r1', anchor='r0'))
+    smoother, _ = smoothed(RECORDS, team('r0', 'r2', 'r1', anchor='r0'))
 
     assert {name: x.frame for name, x in smoother.trajectories.items()} == {
         'r1': 'r2/map', 'r2': 'r2/map'}
@@ -149,7 +139,7 @@ def test_a_joint_map_without_the_anchor_is_in_the_frame_of_its_first_robot():
 
 
 def test_ids_of_each_robot_do_not_join_maps():
-    smoother, _ = smoothed(settings=team(shared_landmark_ids=False))
+    smoother, _ = smoothed(RECORDS, team(shared_landmark_ids=False))
 
     assert {name: x.frame for name, x in smoother.trajectories.items()} == {
         'r1': 'r1/map', 'r2': 'r2/map'}
@@ -206,7 +196,7 @@ def test_exact_odometry_is_rejected_and_bridged(variances):
 
 
 def test_poses_after_a_solution_follow_from_it_by_all_measurements():
-    smoother, _ = smoothed(solved=False)
+    smoother, _ = smoothed(RECORDS, solved=False)
     half = len(RECORDS) // 2
     live = TeamSmoother(team(), solve_every=10_000)
     for record in RECORDS[:half]:
@@ -236,7 +226,7 @@ def test_poses_after_a_solution_follow_from_it_by_all_measurements():
 @pytest.mark.parametrize('sigma', [(0.0, 0.0, 0.0), (0.1, 0.2, 0.05)])
 def test_the_filter_continues_with_the_covariances_of_the_solution(sigma):
     """Those of single variables are computed in another way, by Takahashi's recursion."""
-    smoother, _ = smoothed(settings=team(anchor_pose=(3.0, -2.0, 1.2), anchor_sigma=sigma))
+    smoother, _ = smoothed(RECORDS, team(anchor_pose=(3.0, -2.0, 1.2), anchor_sigma=sigma))
 
     for solved in smoother.solution.maps:
         assert {*solved.trajectories} == {'r1', 'r2'}
@@ -249,7 +239,7 @@ def test_the_filter_continues_with_the_covariances_of_the_solution(sigma):
 
 
 def test_a_local_map_is_in_the_own_frame_of_its_robot_also_after_a_solution():
-    smoother, _ = smoothed(settings=team(anchor_pose=(3.0, -2.0, 1.2)))
+    smoother, _ = smoothed(RECORDS, team(anchor_pose=(3.0, -2.0, 1.2)))
 
     maps = smoother.task().maps
 
@@ -281,7 +271,7 @@ def test_poses_taken_one_by_one_equal_those_taken_at_once():
     while poses[-1] is not None:
         poses.append(next(one_by_one.release(), None))
 
-    smoother, at_once = smoothed()
+    smoother, at_once = smoothed(RECORDS)
 
     assert [(pose.robot, pose.stamp) for pose in poses[:-1]] == [
         (pose.robot, pose.stamp) for pose in at_once]
@@ -291,7 +281,7 @@ def test_poses_taken_one_by_one_equal_those_taken_at_once():
 
 def test_an_unsolved_map_is_kept_and_the_others_are_solved(monkeypatch):
     settings = team(shared_landmark_ids=False)
-    smoother, _ = smoothed(settings=settings)
+    smoother, _ = smoothed(RECORDS, settings)
     before = final_poses(smoother, 'r2')
     task = smoother.task()
     broken = task.maps[1].problem
@@ -312,7 +302,7 @@ def test_an_unsolved_map_is_kept_and_the_others_are_solved(monkeypatch):
 
 
 def test_every_part_of_a_solution_changes_the_hash():
-    smoother, _ = smoothed()
+    smoother, _ = smoothed(RECORDS)
     stamps = {name: [*smoother.trajectories[name].stamps] for name in ('r1', 'r2')}
     solved, = smoother.solution.maps
     r2 = solved.trajectories['r2']
@@ -341,7 +331,7 @@ def test_every_part_of_a_solution_changes_the_hash():
 
 
 def test_the_hash_depends_on_the_solution_only():
-    first, again = smoothed()[0], smoothed()[0]
+    first, again = smoothed(RECORDS)[0], smoothed(RECORDS)[0]
     noise = np.random.default_rng(1)
     other = [
         replace(r, pose=r.pose + noise.normal(0.0, 1e-9, 3)) if isinstance(r, Odometry) else r

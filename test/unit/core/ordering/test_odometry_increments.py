@@ -11,14 +11,9 @@ from fej_slam_ros.core.ordering.impossible_motion import Speeds, UNKNOWN_SPEEDS
 from fej_slam_ros.core.ordering.odometry_increments import (
     increment, OdometryIncrements, split, unknown_motion)
 from fej_slam_ros.core.settings import RobotSettings
-from helpers.records import MS, odometry
+from helpers.records import MS, odometry, Q, Q_TURNED
 
 SETTINGS = RobotSettings('r1', 1, odometry_sigma=(0.2, 0.1, 0.4))
-
-#: A covariance in which no two entries are alike, and C^T Q C for a quarter turn to the left,
-#: which takes (x, y) to (y, -x).
-Q = np.array([[4.0, 1.0, 0.5], [1.0, 2.0, 0.25], [0.5, 0.25, 1.0]])
-Q_TURNED = np.array([[2.0, -1.0, 0.25], [-1.0, 4.0, -0.5], [0.25, -0.5, 1.0]])
 
 ROUNDING = 1e-14
 

@@ -12,14 +12,9 @@ from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.records import merged, RobotScan, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
-from helpers.records import MS, odometry, robot_scan, scan
+from helpers.records import MS, odometry, Q, Q_TURNED, robot_scan, scan
 
 SIGMA = (0.2, 0.1, 0.4)
-
-#: A covariance in which no two entries are alike, and C^T Q C for a quarter turn to the left,
-#: which takes (x, y) to (y, -x).
-Q = np.array([[4.0, 1.0, 0.5], [1.0, 2.0, 0.25], [0.5, 0.25, 1.0]])
-Q_TURNED = np.array([[2.0, -1.0, 0.25], [-1.0, 4.0, -0.5], [0.25, -0.5, 1.0]])
 
 ROUNDING = 1e-14
 

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.peers.union import smoothed_union
 from fej_slam_ros.core.rejections import RejectionReason
+from helpers.csam import smoothed
 from helpers.records import odometry, robot_scan, scan, team
 
 #: Landmarks around the straight path of the robot.
@@ -32,7 +31,6 @@ def moved(ms):
 def test_a_scan_that_was_in_flight_is_used_with_the_landmarks_known_before():
     settings = team('r1', 'r2')
     own = PeerSmoother(settings, 'r1', TeamLogs('r1', 1, settings.robots[0]), 10**9)
-    central = TeamSmoother(settings)
     before = [record for ms in range(0, 3000, 100) for record in (seen(ms), moved(ms))]
     later = [seen(2850), *map(moved, range(3000, 3300, 100))]
 
@@ -44,13 +42,13 @@ def test_a_scan_that_was_in_flight_is_used_with_the_landmarks_known_before():
         own.add(record)
         list(own.take())
     own.adopt_union(smoothed_union(task))
-    for record in sorted([*before, *later], key=lambda record: record.stamp):
-        central.add(record)
-    list(central.release())
-    central.adopt(solve(central.task()))
+    central, _ = smoothed(
+        sorted([*before, *later], key=lambda record: record.stamp), settings)
 
-    newest, smoothed = own.trajectories['r1'].newest(), [*central.trajectories['r1'].estimates()]
-    expected = next(estimate for estimate in smoothed if estimate.stamp == newest.stamp)
+    newest = own.trajectories['r1'].newest()
+    expected = next(
+        estimate for estimate in central.trajectories['r1'].estimates()
+        if estimate.stamp == newest.stamp)
     # The filter linearises where it is, on a nearly noise-free path: a percent.
     assert_allclose(np.diag(newest.P), np.diag(expected.P), rtol=0.01)
 
@@ -141,7 +139,6 @@ def test_own_observations_of_robots_that_the_union_rejects_are_counted_as_in_the
     settings = team('r1', 'r2')
     own = PeerSmoother(settings, 'r1', TeamLogs('r1', 1, settings.robots[0]), 10**9)
     other = TeamLogs('r2', 1, settings.robots[1])
-    central = TeamSmoother(settings)
     records = [record for ms in range(0, 3000, 100) for record in (
         moved(ms), seen(ms), robot_scan('r1', ms, [('r2', (-ms / 1000.0, 2.0))]))]
     theirs = [odometry('r2', ms, (0.0, 0.0, 0.0)) for ms in range(0, 1500, 100)]
@@ -149,10 +146,8 @@ def test_own_observations_of_robots_that_the_union_rejects_are_counted_as_in_the
         assert own.add(record) is None
         list(own.take())
     list(own.close())
-    for record in sorted([*records, *theirs], key=lambda record: record.stamp):
-        central.add(record)
-        list(central.take())
-    list(central.close())
+    central, _ = smoothed(
+        sorted([*records, *theirs], key=lambda record: record.stamp), settings, solved=False)
 
     own.adopt_finally(smoothed_union(own.union_task()))
     # r2 is unknown: none of 30.

@@ -5,21 +5,15 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, graph_of
+from helpers.csam import smoothed
 from helpers.records import team
 from helpers.ros import meeting
 
 
 def solved_graph(records, **changes):
     """Return the graph of records with noise, and the solution of the smoother."""
-    smoother = TeamSmoother(team('r1', 'r2', max_delay=0.0, **changes))
-    for record in records:
-        smoother.add(record)
-    for _ in smoother.close():
-        pass
-    smoother.adopt(solve(smoother.task()))
+    smoother, _ = smoothed(records, team('r1', 'r2', max_delay=0.0, **changes))
     stamps = {name: trajectory.stamps for name, trajectory in smoother.trajectories.items()}
     return graph_of(smoother.task(), smoother.solution, stamps), smoother.solution
 
