@@ -21,11 +21,11 @@ from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import (
-    NO_ID, NS, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
-    TrueLandmarks, TruePose)
+    NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
+    Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
-from fej_slam_ros.datasets.scans import divided, ObservationT
+from fej_slam_ros.datasets.scans import divided
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers, integer
 

@@ -3,11 +3,8 @@
 """Scans of the observations that a file lists for one robot and stamp."""
 
 from collections.abc import Iterable, Iterator
-from typing import TypeVar
 
-from fej_slam_ros.core.records import NO_ID, Observation, RobotObservation
-
-ObservationT = TypeVar('ObservationT', Observation, RobotObservation)
+from fej_slam_ros.core.records import NO_ID, Observation, ObservationT
 
 
 def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT, ...]]:
