@@ -55,6 +55,12 @@ class Viewed:
     def wait_until_wanted(self, publisher):
         self.domain.until(publisher.get_subscription_count)
 
+    def connected(self, topic, type_name, *wanted):
+        """Return a publisher and a client that wants topics, once that of the publisher is."""
+        publisher, client = self.publisher(topic, type_name), self.client(*wanted)
+        self.wait_until_wanted(publisher)
+        return publisher, client
+
     def close(self):
         for client in self._clients:
             client.close()
@@ -92,9 +98,7 @@ def test_the_server_announces_itself_and_its_topics(viewed):
 
 
 def test_a_pose_arrives_as_it_was_published(viewed):
-    publisher = viewed.publisher('r1/pose', live_helpers.POSE)
-    client = viewed.client(POSE)
-    viewed.wait_until_wanted(publisher)
+    publisher, client = viewed.connected('r1/pose', live_helpers.POSE, POSE)
 
     publisher.publish(pose_message(7))
 
@@ -106,9 +110,7 @@ def test_a_pose_arrives_as_it_was_published(viewed):
 
 
 def test_a_publisher_of_another_quality_of_service_replaces_the_first(viewed):
-    first = viewed.publisher('r1/pose', live_helpers.POSE)
-    client = viewed.client(POSE)
-    viewed.wait_until_wanted(first)
+    first, client = viewed.connected('r1/pose', live_helpers.POSE, POSE)
 
     viewed.domain.node.destroy_publisher(first)
     second = viewed.domain.node.create_publisher(
@@ -137,9 +139,7 @@ def test_a_late_client_gets_the_map_although_others_are_connected(viewed):
 
 @pytest.mark.slow
 def test_topics_without_clients_are_not_subscribed(viewed):
-    publisher = viewed.publisher('r1/pose', live_helpers.POSE)
-    client = viewed.client(POSE)
-    viewed.wait_until_wanted(publisher)
+    publisher, client = viewed.connected('r1/pose', live_helpers.POSE, POSE)
 
     client.close()
 
@@ -206,9 +206,8 @@ def test_frames_that_have_not_joined_are_drawn_at_the_origin(viewed):
 
 
 def test_diagnostics_of_other_nodes_are_passed_on_only(viewed):
-    publisher = viewed.publisher('/diagnostics', live_helpers.DIAGNOSTICS)
-    client = viewed.client('/diagnostics', '/view/consistency')
-    viewed.wait_until_wanted(publisher)
+    publisher, client = viewed.connected(
+        '/diagnostics', live_helpers.DIAGNOSTICS, '/diagnostics', '/view/consistency')
     status = ros.diagnostic_msgs__msg__DiagnosticStatus(
         level=0, name='motor', message='warm', hardware_id='m1', values=[])
 
@@ -230,9 +229,8 @@ def diagnostics_of(*statuses, stamp=0):
 def test_nis_and_nees_are_plotted_at_the_stamps_of_their_reports(viewed):
     # After the end of a simulation an estimator goes on to report at its last simulated time.
     stamps = [64_000_000_000, 65_000_000_000, -1_000_000_000]
-    publisher = viewed.publisher('/diagnostics', live_helpers.DIAGNOSTICS)
-    client = viewed.client('/view/consistency')
-    viewed.wait_until_wanted(publisher)
+    publisher, client = viewed.connected(
+        '/diagnostics', live_helpers.DIAGNOSTICS, '/view/consistency')
 
     for stamp in stamps:
         publisher.publish(diagnostics_of(
@@ -268,9 +266,7 @@ def test_whatever_diagnostics_contain_poses_are_passed_on(viewed):
 
 def test_topics_of_others_do_not_replace_those_of_the_view(viewed):
     stranger = viewed.publisher('/view/consistency', live_helpers.POSE)
-    poses = viewed.publisher('r1/pose', live_helpers.POSE)
-    client = viewed.client(POSE, '/view/consistency')
-    viewed.wait_until_wanted(poses)
+    poses, client = viewed.connected('r1/pose', live_helpers.POSE, POSE, '/view/consistency')
 
     poses.publish(pose_message(7))
 
@@ -281,9 +277,7 @@ def test_topics_of_others_do_not_replace_those_of_the_view(viewed):
 
 @pytest.mark.slow
 def test_clients_that_send_garbage_do_not_affect_others(viewed):
-    publisher = viewed.publisher('r1/pose', live_helpers.POSE)
-    client = viewed.client(POSE)
-    viewed.wait_until_wanted(publisher)
+    publisher, client = viewed.connected('r1/pose', live_helpers.POSE, POSE)
 
     foxglove_client.send_garbage(viewed.url, client.channels[POSE]['id'], seed=1)
     publisher.publish(pose_message(7))
@@ -319,9 +313,7 @@ def resident_mb(pid):
 @pytest.mark.slow
 def test_messages_that_are_too_large_are_not_passed_on(viewed):
     topic = '/estimator/joint_covariance'
-    publisher = viewed.publisher(topic, 'std_msgs/msg/Float64MultiArray')
-    client = viewed.client(topic)
-    viewed.wait_until_wanted(publisher)
+    publisher, client = viewed.connected(topic, 'std_msgs/msg/Float64MultiArray', topic)
 
     for number in 2**20, 2:
         empty = ros.std_msgs__msg__MultiArrayLayout(dim=[], data_offset=0)
@@ -347,9 +339,7 @@ def test_negative_simulated_time_ends_nothing(viewed):
 
 
 def test_simulated_time_is_used_if_published(viewed):
-    clock = viewed.publisher('/clock', 'rosgraph_msgs/msg/Clock')
-    client = viewed.client()
-    viewed.wait_until_wanted(clock)
+    clock, client = viewed.connected('/clock', 'rosgraph_msgs/msg/Clock')
 
     clock.publish(raw('', outgoing.clock(1_500_000_000)).raw)
 
@@ -362,9 +352,7 @@ def test_simulated_time_is_used_if_published(viewed):
 
 
 def test_the_time_of_the_machine_is_used_again_once_nobody_publishes_simulated_time(viewed):
-    clock = viewed.publisher('/clock', 'rosgraph_msgs/msg/Clock')
-    client = viewed.client()
-    viewed.wait_until_wanted(clock)
+    clock, client = viewed.connected('/clock', 'rosgraph_msgs/msg/Clock')
     clock.publish(raw('', outgoing.clock(1_500_000_000)).raw)
     client.received['/view/consistency'] = []
 
