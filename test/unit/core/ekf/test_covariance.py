@@ -146,6 +146,9 @@ READERS = {
     'blocks': lambda P, slots: P.blocks(joint_indices(slots)[None])[0],
     'rows': lambda P, slots: np.array([
         np.pad(row, (0, slots[-1].stop - len(row))) for row in lower_rows(P, slots)]),
+    'one by one': lambda P, slots: np.block([
+        [P.marginal([a]) if a is b else P.matrix.at(a.indices[:, None], b.indices) for b in slots]
+        for a in slots]),
     'copy': lambda P, slots: np.tril(copy(P).matrix.lower)[:slots[-1].stop, :slots[-1].stop],
 }
 

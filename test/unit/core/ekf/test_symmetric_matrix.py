@@ -5,6 +5,7 @@
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
+from scipy.linalg import block_diag
 
 from fej_slam_ros.core.ekf.symmetric_matrix import GROWTH, SymmetricMatrix
 
@@ -37,6 +38,39 @@ def test_a_packed_matrix_is_restored_with_its_capacity(n):
 
     assert restored.dimension == n
     assert_array_equal(restored.lower, matrix.lower)
+
+
+def test_a_copy_has_the_capacity_on_which_rounding_depends_and_changes_with_no_other():
+    P = symmetric(3 * GROWTH)
+    matrix = stored(P)
+
+    copied = matrix.copy()
+    matrix.remove(np.array([1, 4]))
+
+    assert_array_equal(copied.lower, stored(P).lower)
+
+
+CHANGES = {
+    'columns are replaced': lambda matrix: matrix.replace_columns(
+        np.array([1, 4]), stored(symmetric(6, seed=1)).columns(np.array([1, 4]))),
+    'a product is subtracted': lambda matrix: matrix.subtract_product(
+        np.asfortranarray(np.eye(GROWTH, 2))),
+    'rows are deleted': lambda matrix: matrix.remove(np.array([0, 3])),
+    'rows are appended': lambda matrix: matrix.append(GROWTH)}
+
+
+@pytest.mark.parametrize('change', CHANGES.values(), ids=CHANGES)
+def test_changes_are_those_of_the_elements_after_all_propagations(change):
+    rng = np.random.default_rng(3)
+    P, Phi, N = symmetric(6), rng.normal(size=(2, 2)), symmetric(2, seed=4)
+    A = block_diag(1.0, Phi, np.eye(3))
+    matrix, propagated = stored(P), stored(A @ P @ A.T + block_diag(0.0, N, np.zeros((3, 3))))
+
+    matrix.propagate(1, Phi, N)
+    for each in (matrix, propagated):
+        change(each)
+
+    assert_allclose(elements(matrix), elements(propagated), atol=1e-12)
 
 
 def test_elements_and_columns_include_both_triangles():
