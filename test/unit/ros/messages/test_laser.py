@@ -42,10 +42,20 @@ def test_a_scan_survives_the_round_trip_through_a_message():
         ({'angle_increment': -GOOD.angle_increment}, ScanFault.BAD_ANGLES),
         ({'angle_increment': 10.0 * GOOD.angle_increment}, ScanFault.BAD_ANGLES),
         ({'angle_min': float('inf')}, ScanFault.BAD_ANGLES),
+        # Two turns, all beams at one angle, and an angle that float32 does not resolve.
+        ({'angle_increment': 2.0 * GOOD.angle_increment,
+          'angle_max': GOOD.angle_min + 2.0 * (GOOD.angle_max - GOOD.angle_min)},
+         ScanFault.BAD_ANGLES),
+        ({'ranges': np.ones(3, np.float32), 'angle_increment': 0.0, 'angle_max': GOOD.angle_min},
+         ScanFault.BAD_ANGLES),
+        ({'angle_min': 1e7, 'angle_max': 1e7 + GOOD.angle_max - GOOD.angle_min},
+         ScanFault.BAD_ANGLES),
         ({'time_increment': -0.001}, ScanFault.BAD_TIMES),
         ({'time_increment': 1.0}, ScanFault.BAD_TIMES),
         ({'range_max': 0.0}, ScanFault.BAD_LIMITS),
         ({'range_min': float('nan')}, ScanFault.BAD_LIMITS),
+        ({'range_min': -0.1}, ScanFault.BAD_LIMITS),
+        ({'range_min': GOOD.range_max}, ScanFault.BAD_LIMITS),
     ],
 )
 def test_a_bad_scan_is_rejected_for_its_fault(changes, fault):
@@ -80,6 +90,24 @@ def test_a_clockwise_laser_is_accepted():
         angle_increment=-GOOD.angle_increment)
 
     assert laser_scan(turned)[1].angle_increment < 0.0
+
+
+@pytest.mark.parametrize('beams', [12, 360, MAX_BEAMS])
+def test_an_angle_max_of_one_beam_more_than_the_scan_has_is_accepted(beams):
+    step = 2.0 * np.pi / beams
+
+    _, scan = laser_scan(replace(
+        GOOD, ranges=np.ones(beams, np.float32), angle_min=0.0, angle_max=2.0 * np.pi,
+        angle_increment=step, time_increment=0.0))
+
+    assert len(scan.ranges) == beams
+
+
+def test_scans_of_a_laser_that_turns_follow_each_other_without_a_gap_for_a_given_duration():
+    # At 10 Hz, of 90 beams.
+    _, scan = laser_scan(GOOD, 0.1)
+
+    assert scan.duration * 1e-9 + scan.time_increment == pytest.approx(0.1)
 
 
 @pytest.mark.filterwarnings('error')
