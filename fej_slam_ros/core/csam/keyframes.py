@@ -57,7 +57,7 @@ class Keyframes:
     def choose_robot_scans(self, scans: Iterable[RobotScan]) -> list[RobotScan]:
         """Return the robot-to-robot observations that are kept: one of the two has moved."""
         if self._distance == 0.0:
-            return [scan for scan in scans if scan.observations]
+            return [*scans]
         kept = []
         for scan in scans:
             observations = tuple(

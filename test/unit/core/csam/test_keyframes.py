@@ -64,6 +64,17 @@ def test_the_distance_of_keyframes_is_that_of_poses():
     assert kept == [True, False, False, True]
 
 
+@pytest.mark.parametrize('side', [1.0, -1.0])
+def test_a_turn_across_pi_counts_as_far_as_it_goes(side):
+    keyframes = Keyframes(1.0)
+
+    kept = [
+        bool(keyframes.choose([('r1', motion, ())]))
+        for motion in (None, *(moved(0.0, side * turn) for turn in (3.0, 0.4, 0.2)))]
+
+    assert kept == [True, True, False, True]
+
+
 def test_an_observation_of_a_robot_is_kept_if_either_has_moved():
     keyframes = Keyframes(1.0)
     observed = robot_scan('r1', 0, [('r2', (3.0, 1.0))])
@@ -77,6 +88,31 @@ def test_an_observation_of_a_robot_is_kept_if_either_has_moved():
     assert kept(moved(0.1), moved(0.5))
     assert kept(moved(1.0), moved(0.0))
     assert not kept(moved(0.0), moved(0.9))
+
+
+def test_of_two_robots_in_a_scan_the_observation_of_the_one_that_has_moved_is_kept():
+    keyframes = Keyframes(1.0)
+    observed = robot_scan('r1', 0, [('r2', (3.0, 1.0)), ('r3', (1.0, 2.0))])
+
+    def kept(u2, u3):
+        keyframes.choose([('r1', u2 and moved(0.0), ()), ('r2', u2, ()), ('r3', u3, ())])
+        return [
+            o.observed for scan in keyframes.choose_robot_scans([observed])
+            for o in scan.observations]
+
+    assert kept(None, None) == ['r2', 'r3']
+    assert kept(moved(0.0), moved(1.0)) == ['r3']
+    assert kept(moved(1.0), moved(0.0)) == ['r2']
+
+
+def test_a_robot_that_returns_keeps_its_first_pose_with_all_it_sees():
+    keyframes = Keyframes(1.0)
+
+    def kept(*motions):
+        return [bool(keyframes.choose([('r1', motion, seen(7))])) for motion in motions]
+
+    assert kept(None, moved(0.5)) == [True, False]
+    assert kept(None, moved(0.5)) == [True, False]
 
 
 def test_of_robots_that_observe_each_other_at_one_stamp_both_observations_are_kept():
