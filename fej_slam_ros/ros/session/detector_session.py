@@ -284,7 +284,8 @@ def _conditions_of_use(name: str, state: _RobotDetector) -> Iterator[Condition]:
             'lower their rate or their number of beams')
     if rejected > detector.scans + detector.waiting:
         (fault, count), = state.faults.most_common(1)
-        number = f'{count} of {rejected + detector.scans}' if detector.scans else 'all'
+        total = rejected + detector.scans + detector.waiting
+        number = 'all' if count == total else f'{count} of {total}'
         yield Condition(
             'scans_rejected', f'{number} scans are rejected as {fault.value}', laser.CURES[fault])
     elif not detector.scans:

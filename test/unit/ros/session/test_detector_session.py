@@ -40,9 +40,13 @@ def run(session, *messages):
     return [message for topic, message in drive(session, messages) if topic == 'r1/landmarks']
 
 
-def points(message):
-    columns = np.frombuffer(message.data.tobytes(), dtype=[
+def columns_of(message):
+    return np.frombuffer(message.data.tobytes(), dtype=[
         (field.name, {8: 'f8', 5: 'i4'}[field.datatype]) for field in message.fields])
+
+
+def points(message):
+    columns = columns_of(message)
     assert set(columns['id'].tolist()) == {-1}
     return np.column_stack([columns['x'], columns['y']])
 
@@ -56,13 +60,31 @@ def test_landmarks_are_in_the_base_frame_wherever_the_laser_is(angles):
     link = mounts(('r1/base_link', 'r1/laser', (0.3, 0.1, 0.5), angles))
     # Seen from above, a laser upside down turns the other way.
     mirrored = POSTS * ([1.0, 1.0, 1.0] if angles is UPRIGHT else [1.0, -1.0, 1.0])
-    scan = scan_message(scan=scan_of(mirrored, beams=1440, sigma=0.005))
+    turn = scan_of(mirrored, beams=1440, sigma=0.005)
+    # Of a laser that begins at -135 degrees, and does not end at 135.
+    scan = replace(
+        turn, ranges=turn.ranges[180:], angle_min=turn.angle_min + 180 * turn.angle_increment)
 
-    message, = run(session_of(), link, raw('r1/odom', odometry_message(0)), scan)
+    message, = run(
+        session_of(), link, raw('r1/odom', odometry_message(0)), scan_message(scan=scan))
 
     assert message.header.frame_id == 'r1/base_link'
     assert distances(points(message), transform(PLACE, POSTS[:, :2])) == pytest.approx(
         [0.0, 0.0], abs=0.03)
+
+
+def test_covariances_are_turned_with_the_laser():
+    to_the_left = mounts(('r1/base_link', 'r1/laser', (0.3, 0.1, 0.5), (0.0, 0.0, np.pi / 2)))
+    odometry = raw('r1/odom', odometry_message(0))
+
+    of_laser, of_base = (
+        columns_of(*run(session_of(range_sigma=0.1), *link, odometry, scan_message()))
+        for link in ([], [to_the_left]))
+
+    for x, y in ('x', 'y'), ('y', 'x'):
+        np.testing.assert_allclose(of_base[f'var_{x}'], of_laser[f'var_{y}'], rtol=1e-9)
+    np.testing.assert_allclose(of_base['cov_xy'], -of_laser['cov_xy'], rtol=1e-9)
+    assert (np.abs(of_laser['var_x'] / of_laser['var_y'] - 1.0) > 0.1).all()
 
 
 def test_landmarks_of_a_laser_at_an_unknown_place_are_in_its_frame_and_the_cure_is_named():
@@ -192,6 +214,16 @@ def test_one_of_two_lasers_at_an_unknown_place_is_named():
         " 'r1/base_link'")
 
 
+def test_a_transform_that_has_come_is_no_longer_reported_as_missing():
+    session, odometry = session_of(), raw('r1/odom', odometry_message(0))
+    link = mounts(('r1/base_link', 'r1/laser', (0.3, 0.1, 0.5), UPRIGHT))
+
+    run(session, odometry, scan_message(0), link, scan_message(5))
+
+    (_, warning, _), = session.counts()
+    assert warning == ''
+
+
 @pytest.mark.parametrize(
     ('messages', 'count', 'warning'),
     [
@@ -220,6 +252,18 @@ def test_what_cannot_be_used_is_counted_and_named(messages, count, warning):
     (_, message, counts), = session.counts()
     assert warning in message
     assert counts[count] == (1 if messages else 0)
+
+
+@pytest.mark.parametrize(('roll', 'rejected'), [
+    (0.19, 0), (0.21, 1), (np.pi - 0.19, 0), (np.pi - 0.21, 1)])
+def test_a_laser_may_be_tilted_by_up_to_two_tenths_of_a_radian(roll, rejected):
+    session = session_of()
+    link = mounts(('r1/base_link', 'r1/laser', (0.0, 0.0, 0.0), (roll, 0.0, 0.0)))
+
+    run(session, raw('r1/odom', odometry_message(0)), link, scan_message())
+
+    (_, _, counts), = session.counts()
+    assert (counts.get('scans_tilted', 0), counts['scans']) == (rejected, 1 - rejected)
 
 
 def test_ranges_outside_of_the_limits_of_the_laser_are_named():
@@ -254,6 +298,43 @@ def test_mostly_rejected_scans_are_named_with_their_cure():
 
     (_, warning, _), = session.counts()
     assert warning.startswith('4 of 5 scans are rejected as late: stamp each scan')
+
+
+def test_without_scans_nothing_else_is_named():
+    assert [condition.name for condition in session_of().conditions('r1')] == ['no_scans']
+
+
+def test_of_scans_with_several_faults_those_with_the_usual_one_are_counted():
+    session = session_of()
+    empty = scan_message(ranges=np.empty(0, np.float32))
+
+    run(session, empty, scan_message(time_increment=-1e-4), empty)
+
+    (_, warning, _), = session.counts()
+    assert warning.startswith('2 of 3 scans are rejected as no_beams')
+
+
+def test_scans_that_wait_for_odometry_count_as_good_ones():
+    session = session_of()
+    for ms in (10, 20, 30, 10, 20):
+        session.receive(scan_message(ms, 'r1/base_link'))
+
+    (_, warning, counts), = session.counts()
+    assert (counts['scans_late'], 'rejected' in warning) == (2, False)
+
+
+def test_single_messages_that_cannot_be_used_are_counted_but_not_named():
+    session = session_of()
+    bad = raw('r1/odom', odometry_message(twist_covariance=-np.eye(6)))
+    odometry = [raw('r1/odom', odometry_message(ms)) for ms in range(5000, 6000, 100)]
+
+    run(session, scan_message(0, 'r1/base_link'), bad, *odometry, *[
+        scan_message(ms, 'r1/base_link') for ms in (5500, 5600, 5500)])
+
+    (_, warning, counts), = session.counts()
+    assert warning == ''
+    assert (counts['scans_without_odometry'], counts['odometry_bad_covariance'],
+            counts['scans_late']) == (1, 1, 1)
 
 
 def test_lasers_with_the_same_stamps_are_both_used():
