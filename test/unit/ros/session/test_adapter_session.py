@@ -142,6 +142,21 @@ def test_range_yaw_and_pitch_are_seen_from_the_sensor_of_the_message():
     np.testing.assert_allclose(R[1], np.diag([along, (2.0 * 0.5 * 0.02)**2]), atol=1e-12)
 
 
+def test_deviations_of_range_yaw_and_pitch_move_the_point_as_differences_show():
+    polar, sigma, step = np.array([2.0, 0.7, -0.4]), np.array([0.1, 0.02, 0.03]), 1e-5
+    message = foreign.range_bearing(5, 'r1/base_link', [(4, *polar.tolist())], sigma.tolist())
+
+    def seen_at(r, yaw, pitch):
+        return r * np.cos(pitch) * np.array([np.cos(yaw), np.sin(yaw)])
+
+    (_, points, R), = clouds(run(session_of(formats=['range_bearing']), ODOMETRY, message))
+
+    J = np.column_stack([
+        (seen_at(*(polar + d)) - seen_at(*(polar - d))) / (2.0 * step) for d in step * np.eye(3)])
+    np.testing.assert_allclose(points, [seen_at(*polar)], atol=1e-12)
+    np.testing.assert_allclose(R, [J @ np.diag(sigma**2) @ J.T], atol=1e-9)
+
+
 def test_covariances_of_messages_are_turned_into_the_base_frame():
     full = np.zeros((6, 6))
     full[:3, :3] = np.diag([0.01, 0.02, 0.09])  # right, down, ahead of the camera
@@ -309,12 +324,15 @@ def test_tags_of_other_names_on_tf_are_named_at_each_robot():
             for name, warning, _ in session.counts() if name != 'unknown robot'] == [True, True]
 
 
-def test_links_of_a_robot_on_tf_are_no_tags_of_other_names():
+@pytest.mark.parametrize(('parent', 'child'), [
+    ('r1/base_link', 'wheel_left'), ('r1/odom', 'base_footprint'), ('map', 'r1_odom')])
+def test_links_and_odometry_of_a_robot_on_tf_are_no_tags_of_other_names(parent, child):
     session = session_of()
 
-    run(session, ODOMETRY, foreign.april_tags(5, 'r1/base_link', {'wheel_left': SEEN}, '/tf'))
+    run(session, ODOMETRY, foreign.april_tags(5, parent, {child: SEEN}, '/tf'))
 
-    assert next(session.counts())[1].startswith('no detections: publish them on')
+    (_, warning, _), = session.counts()
+    assert warning.startswith('no detections: publish them on')
 
 
 def test_tags_with_names_of_their_own_are_chosen_by_a_pattern():
@@ -327,6 +345,16 @@ def test_tags_with_names_of_their_own_are_chosen_by_a_pattern():
 
     assert saved == dict(zip(['dock', 'gate_left'], ids))
     assert min(ids) >= 2**30
+
+
+def test_names_that_begin_with_no_robot_are_different_as_a_whole():
+    saved = {}
+    doors = {f'{room}/door': (SEEN, 1.0) for room in ('kitchen', 'hall')}
+
+    run(session_of(saved.update, formats=['landmark_list']), ODOMETRY,
+        foreign.landmark_list(5, 'r1/base_link', doors))
+
+    assert saved.keys() == doors.keys()
 
 
 def test_names_have_the_same_ids_at_all_robots_whatever_they_see_first():
@@ -370,6 +398,17 @@ def test_new_ids_are_published_and_saved_once_a_second_and_at_the_end():
         first, {**first, 'tag36h11:9': 9}, {**first, 'tag36h11:9': 9, 'tag36h11:10': 10}]
 
 
+def test_an_id_that_two_names_would_have_is_taken_back():
+    session = session_of(formats=['landmark_list'])
+
+    found = run(session, ODOMETRY, *(
+        foreign.landmark_list(ms, 'r1/base_link', dict.fromkeys(names, (SEEN, 1.0)))
+        for ms, names in ((5, ['tag36h11:4']), (2000, ['tag25h9:4', 'tag36h11:5']))))
+
+    published = [json.loads(message.data) for topic, message in found if topic == 'landmark_ids']
+    assert published == [{'tag36h11:4': 4}, {'tag36h11:5': 5}]
+
+
 def test_names_with_the_same_id_are_refused_unless_they_are_given_others():
     both = {'tag36h11:4': (SEEN, 1.0), 'tag25h9:4': (SEEN, 1.0)}
     message = foreign.landmark_list(5, 'r1/base_link', both)
@@ -401,6 +440,14 @@ def test_a_tag_of_a_robot_is_an_observation_of_the_robot_behind_it():
     assert [ids for ids, _, _ in clouds(found)] == [[4]]
     counts = next(session.counts())[2]
     assert (counts['rejected_self_sighting'], counts['further_tags']) == (1, 1)
+
+
+def test_a_tag_of_a_robot_may_be_listed_with_the_name_of_another_one():
+    session = session_of(robots=('r1', 'r2'), **{'r2.tags': ['r1/box']})
+
+    found = run(session, ODOMETRY, foreign.april_tags(5, 'r1/base_link', {'r1/box': SEEN}))
+
+    assert [ids for ids, _, _ in clouds(found, 'r1/robots')] == [[2]]
 
 
 def polar(*observations, sigmas=(0.1, 0.02, 0.03)):
@@ -538,6 +585,17 @@ def test_tags_of_two_images_in_a_message_are_two_scans():
     assert [ids for ids, _, _ in clouds(found)] == [[4], [4]]
 
 
+def test_tags_of_two_cameras_at_one_time_in_a_message_are_seen_from_each():
+    one, other = (
+        foreign.april_tags(5, frame, {tag: SEEN})
+        for frame, tag in (('r1/camera', 'tag36h11:4'), ('r1/base_link', 'tag36h11:5')))
+
+    found = run(session_of(), ODOMETRY, CAMERA, foreign.joined(one, other))
+
+    assert [(ids, points.tolist()) for ids, points, _ in clouds(found)] == [
+        ([4], [pytest.approx(IN_BASE)]), ([5], [pytest.approx(SEEN[:2])])]
+
+
 def test_a_pose_of_the_sensor_that_is_not_set_leaves_it_to_the_transforms():
     message = foreign.range_bearing(5, 'r1/camera', [(4, 3.0, 0.0, -np.pi / 2)], (0.1, 0.1, 0.1))
 
@@ -653,6 +711,15 @@ def test_objects_of_one_class_are_named_also_if_some_are_seen_alone():
         'most detections are rejected, most as duplicate_id: objects of one class')
 
 
+def test_half_of_the_detections_are_not_most_of_them():
+    session = session_of(formats=['landmark_list'])
+
+    run(session, ODOMETRY, foreign.landmark_list(
+        5, 'r1/base_link', {'4': (SEEN, 1.0), '5': (SEEN, -1.0)}))
+
+    assert next(session.counts())[1] == ''
+
+
 def test_tags_beyond_the_range_are_not_named_if_others_are_used():
     session = session_of(max_range=5.0)
 
@@ -662,10 +729,11 @@ def test_tags_beyond_the_range_are_not_named_if_others_are_used():
     assert next(session.counts())[1] == ''
 
 
-def test_a_message_without_objects_is_an_empty_scan():
-    session = session_of(formats=['aruco'])
-
-    (ids, _, _), = clouds(run(session, ODOMETRY, foreign.aruco(5, 'r1/base_link', {})))
+@pytest.mark.parametrize(('name', 'message'), [
+    ('aruco', foreign.aruco(5, 'r1/base_link', {})),
+    ('detection3d', foreign.detections3d(5, 'r1/base_link', []))])
+def test_a_message_without_objects_is_an_empty_scan(name, message):
+    (ids, _, _), = clouds(run(session_of(formats=[name]), ODOMETRY, message))
 
     assert ids == []
 
