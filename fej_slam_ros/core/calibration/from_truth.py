@@ -20,7 +20,7 @@ from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtr, chdtri
+from scipy.special import chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.consistency import nees, pose_error
@@ -76,16 +76,14 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     """
     Return the root mean error squared e^T P^-1 e per degree of freedom, without outliers.
 
-    Iterated from the median; the mean of the inliers is compared with that of the chi-square
-    distribution truncated at the same limit.
+    Iterated from the median, until there are no further inliers.
 
     """
     d2 = np.array(squared)
     limit = _outlier_limit(dof)
-    truncated_mean = dof * chdtr(dof + 2, limit) / chdtr(dof, limit)
     variance, kept = float(np.median(d2)) / chdtri(dof, 0.5), 0
     while (count := int((d2 <= limit * variance).sum())) > kept:
-        variance, kept = float(d2[d2 <= limit * variance].mean()) / truncated_mean, count
+        variance, kept = float(d2[d2 <= limit * variance].mean()) / dof, count
     return NoiseScale(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
 
 
@@ -129,8 +127,7 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
         errors['odometry'][robot.name] += _odometry_errors(of_robot, truth, robot)
         near[robot.name] = NearTruth(truth, robot.name, of_robot)
     ordered = {
-        key: sorted(of_kind, key=attrgetter('stamp')) for key, of_kind in scans.items()
-        if key[1] in near}
+        key: sorted(of_kind, key=attrgetter('stamp')) for key, of_kind in scans.items()}
     landmarks = _landmark_positions(
         [scan for of_kind in ordered.values() for scan in of_kind if isinstance(scan, Scan)],
         truth, near, settings.shared_landmark_ids)
@@ -147,7 +144,6 @@ def _odometry_errors(
     begin, x, P = None, np.zeros(3), np.zeros((3, 3))
     for earlier, later in pairwise(odometry):
         if later.stamp - earlier.stamp > MAX_ODOMETRY_WINDOW:
-            begin = None
             continue
         if begin is None or later.stamp - begin.stamp > MAX_ODOMETRY_WINDOW:
             if not truth.covers(earlier.robot, earlier.stamp):
@@ -282,7 +278,7 @@ def _observation_errors(
             position = landmarks.get(('', o.id)) or landmarks.get((scan.robot, o.id))
         else:
             observed = o.observed
-            other = near[observed].pose(scan.stamp) if observed in near else None
+            other = near[observed].pose(scan.stamp)
             position = None if other is None else _Position(other[:2], 1.0)
         if position is not None:
             e = o.z - models.h(pose[None], position.point[None])[0]

@@ -57,20 +57,38 @@ def test_sparse_true_poses_give_the_factors(seconds):
         assert found[kind][''].samples > 20
 
 
-def test_odometry_leads_from_a_sparse_true_pose_to_an_observation():
-    start = np.array([5.0, 0.0, math.pi / 2.0])
-    # At 1 m/s ahead; the true pose is known at 10 s only, the landmark was observed 0.15 s later,
-    # between two odometry messages.
+@pytest.mark.parametrize('late', [0.17, -0.17])
+def test_odometry_leads_from_a_sparse_true_pose_to_an_observation(late):
+    start, ms = np.array([5.0, 0.0, math.pi / 2.0]), round(10_000 + 1000 * late)
+    # At 1 m/s ahead; the true pose is known at 10 s only, the landmark was observed 0.17 s later
+    # or earlier, between two odometry messages.
     records = [
         *(odometry('r1', 100 * k, (0.1 * k, 0.0, 0.0)) for k in range(200)),
-        true_pose('r1', 10_000, start), TrueLandmarks({1: np.array([5.0, 3.15])}, 0),
-        scan('r1', 10_150, [(1, (3.1, 0.0))]), scan('r1', 10_400, [(1, (9.0, 0.0))])]
+        true_pose('r1', 10_000, start), TrueLandmarks({1: np.array([5.0, 3.0 + late])}, 0),
+        scan('r1', ms, [(1, (3.1, 0.0))]), scan('r1', 10_400, [(1, (9.0, 0.0))])]
 
     (squared,) = normalized_errors(records, team())['landmark']['r1']
 
-    # The robot is at (5.0, 0.15), 3 m from the landmark.
+    # The robot is at (5.0, late), 3 m from the landmark.
     R = records[-2].observations[0].R
     assert squared == pytest.approx(0.1 ** 2 / R[0, 0])
+
+
+@pytest.mark.parametrize('ms', [9_800, 10_200])
+def test_beyond_odometry_nothing_leads_from_a_sparse_true_pose(ms):
+    records = [
+        *(odometry('r1', ms) for ms in range(9_900, 10_101, 100)),
+        true_pose('r1', 10_000, (5.0, 0.0, 0.0)), TrueLandmarks({1: np.array([8.0, 0.0])}, 0),
+        scan('r1', ms, [(1, (3.0, 0.0))])]
+
+    assert 'landmark' not in normalized_errors(records, team())
+
+
+def test_odometry_that_claims_to_be_exact_has_no_normalized_error():
+    exact = [odometry('r1', ms, twist_covariance=np.zeros((3, 3))) for ms in range(0, 20_001, 100)]
+    truth = [true_pose('r1', ms, (0.0, 0.0, 0.0)) for ms in range(0, 20_001, 100)]
+
+    assert normalized_errors([*exact, *truth], team()) == {}
 
 
 def test_the_standard_error_equals_the_spread_of_the_factor():
@@ -81,6 +99,31 @@ def test_the_standard_error_equals_the_spread_of_the_factor():
 
     # The standard error of the spread of 400 samples is 1 / sqrt(800) = 3.5 %.
     assert spread == pytest.approx(found[0].relative_error, rel=0.15)
+
+
+def test_large_errors_of_a_part_of_the_time_count_if_they_are_no_outliers():
+    # Of 1 m for three fifths of the time, of 5 m for the rest.
+    squared = np.random.default_rng(1).chisquare(2, 2000) * np.repeat([1.0, 25.0], [1200, 800])
+
+    assert noise_scale(squared.tolist(), 2).scale == pytest.approx(math.sqrt(10.6), rel=0.05)
+
+
+@pytest.mark.parametrize('known', [True, False])
+def test_errors_much_larger_than_stated_are_no_outliers(known):
+    records = [
+        r for r in claiming(simulated(1), {Scan: 0.01})
+        if known or not isinstance(r, TrueLandmarks)]
+
+    found = scales(records)['landmark']['']
+
+    assert abs(math.log(found.scale / 100.0)) < 4.0 * found.relative_error
+
+
+def test_a_robot_without_errors_changes_no_factor():
+    squared = np.random.default_rng(1).chisquare(3, 400).tolist()
+
+    assert noise_scales({'r1': squared, 'r2': []}, 3) == dict.fromkeys(
+        ['', 'r1'], noise_scale(squared, 3))
 
 
 def test_a_robot_with_other_noise_has_a_factor_of_its_own():
@@ -128,6 +171,22 @@ def test_systematic_errors_count_in_full():
     assert errors == pytest.approx([50.0] * 12)
 
 
+def test_odometry_over_more_than_a_minute_is_no_error():
+    # It stands still in truth; odometry has a pause in which it jumps, and then moves.
+    times = [*range(0, 4001, 100), *range(104_000, 300_001, 100)]
+    jumping = [
+        odometry('r1', ms, (9.0 if ms > 4000 else 0.0, ms * 1e-3, 0.0), np.eye(3)) for ms in times]
+
+    def errors(*seconds):
+        truth = [true_pose('r1', 1000 * s, (0.0, 0.0, 0.0)) for s in seconds]
+        return normalized_errors([*jumping, *truth], team()).get('odometry', {'r1': []})['r1']
+
+    assert len(errors(*range(300))) == pytest.approx(196 // 5, abs=1)
+    assert max(errors(*range(300))) == pytest.approx(5.0 ** 2 / (50 * 0.1 ** 2))
+    assert errors(110, 180, 250) == []
+    assert len(errors(110, 165, 250)) == 1
+
+
 def test_errors_of_observations_that_persist_count_in_full():
     # Error of 0.1 m in x for 5 s, then in y, and so on, stated as independent errors of 0.1 m.
     times = range(0, 60_000, 100)
@@ -173,6 +232,47 @@ def test_a_gross_error_does_not_move_a_landmark_whose_position_is_not_known():
     # Of chi-square with 2 degrees of freedom: 12 windows have a mean of 2 within 0.6 (one sigma).
     assert len(errors) == 12
     assert abs(np.mean(errors) - 2.0) < 4.0 * 0.6
+
+
+def test_a_mean_position_from_few_windows_is_nearer_to_them_than_the_truth():
+    # One observation of each landmark in each of five windows, with the stated errors of 0.1 m.
+    rng = np.random.default_rng(1)
+    truth = [true_pose('r1', ms, (0.0, 0.0, 0.0)) for ms in range(0, 25_001, 100)]
+    scans = [
+        scan('r1', ms, [*enumerate(3.0 + rng.normal(0.0, 0.1, (300, 2)))])
+        for ms in range(0, 25_000, 5000)]
+
+    found = scales([*truth, *scans])['landmark']['']
+
+    assert abs(math.log(found.scale)) < 4.0 * found.relative_error
+
+
+def test_a_mean_position_is_exact_in_the_directions_in_which_observations_are():
+    # One metre across the line of sight, 0.01 m along it, from two sides in turn.
+    rng, R = np.random.default_rng(1), np.diag([0.01, 1.0]) ** 2
+    sides = [(0.0, 0.0, 0.0), (3.0, -3.0, math.pi / 2.0)]
+    truth = [true_pose('r1', ms, sides[ms // 5000 % 2]) for ms in range(0, 60_000, 100)]
+    scans = [
+        replace(record, observations=tuple(replace(o, R=R) for o in record.observations))
+        for record in (
+            scan('r1', ms, [(1, rng.normal([3.0, 0.0], [0.01, 1.0]))])
+            for ms in range(1000, 60_000, 5000))]
+
+    errors = normalized_errors([*truth, *scans], team())['landmark']['r1']
+
+    # Of chi-square with 2 degrees of freedom: 12 windows have a mean of 2 within 0.6 (one sigma).
+    assert len(errors) == 12
+    assert abs(np.mean(errors) - 2.0) < 4.0 * 0.6
+
+
+def test_windows_of_several_robots_give_the_position_of_a_landmark():
+    records = [
+        record for ms in range(0, 15_001, 100) for robot in ('r1', 'r2') for record in (
+            true_pose(robot, ms, (0.0, 0.0, 0.0)), scan(robot, ms, [(1, (3.0, 4.0))]))]
+
+    found = normalized_errors(records, team())
+
+    assert found['landmark']['r1'] == found['landmark']['r2'] == pytest.approx([0.0] * 4)
 
 
 def test_a_landmark_that_is_observed_in_few_windows_has_no_position():
