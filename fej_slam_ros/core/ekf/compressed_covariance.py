@@ -243,10 +243,11 @@ class CompressedCovariance:
         W = product(self._learnt_root().T, C.T, may_end).T  # 2 n a p, in Fortran order
         P_gA = P.at(self._proxies[:, None], core)
         P_A, dx = product(C, P_gA, may_end), C[:n] @ self._dg  # 2 n a (members)
-        W[members] = dx[members] = 0.0
+        dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
         pause()
-        self._whole.matrix.subtract_product(W)  # P_BB - W W^T: p n^2
+        # P_BB - W W^T: p n^2; what it changes elsewhere is replaced.
+        self._whole.matrix.subtract_product(W)
         self._whole.matrix.replace_columns(members, P_A)
         return self._whole, x_hat + dx
 
