@@ -8,8 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.calibration.from_innovations import most_likely_scales, with_scans_apart
-from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
+from fej_slam_ros.core.calibration.from_innovations import (
+    LAST_STEP, most_likely_scales, run, with_scans_apart)
+from fej_slam_ros.core.calibration.innovation_windows import (
+    InnovationWindows, Moments, scales_over_windows)
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
 from helpers.calibration import error, received, simulated
@@ -108,6 +110,37 @@ def test_errors_of_observations_that_persist_count_over_5_s_but_for_what_the_map
     assert single.scale < 0.4 * FACTOR
 
 
+def test_observations_of_a_landmark_by_two_sensors_at_one_stamp_are_summed():
+    # A robot that stands still starts a landmark, and sees it again with two errors.
+    records = [
+        *(odometry('r1', ms, (0.0, 0.0, 0.0), np.zeros((3, 3))) for ms in range(0, 7001, 100)),
+        scan('r1', 0, [(1, (2.0, 0.0))]), scan('r1', 6000, [(1, (2.1, 0.0))]),
+        scan('r1', 6000, [(1, (2.2, 0.0))])]
+    windows = InnovationWindows()
+
+    run(team('r1'), received(sorted(records, key=lambda r: r.stamp)), innovations=windows)
+
+    # Landmark and observations have a variance of 0.01 m^2 each: of the sum of 0.3 m, that of the
+    # landmark counts four times, that of the observations twice.
+    numerators, denominators = windows.moments(['landmark', 'robot'])
+    np.testing.assert_allclose(numerators, [[0.3 ** 2 * 0.02 / 0.06 ** 2, 0.0]], rtol=1e-9)
+    np.testing.assert_allclose(denominators, [[2.0 * 0.02 / 0.06, 0.0]], rtol=1e-9)
+
+
+def test_standard_errors_of_factors_are_those_of_q_through_its_slope():
+    # q of the first kind depends on the first factor, that of the second on both.
+    moments = Moments(
+        np.array([[1.2, 1.0], [0.8, 1.0], [1.0, 1.4], [1.0, 0.6]]), np.ones((4, 2)))
+    beside = [
+        moments._replace(numerators=moments.numerators * np.exp(LAST_STEP * np.array(slope)))
+        for slope in ((-2.0, -1.0), (0.0, -1.0))]
+
+    # log q scatters by 0.05 and 0.1 in two windows each, so with 0.005 and 0.02; the factors are
+    # -q_1 / 2 and q_1 / 2 - q_2.
+    np.testing.assert_allclose(
+        moments.standard_errors(beside), np.sqrt([0.005 / 4.0, 0.005 / 4.0 + 0.02]), rtol=1e-9)
+
+
 def test_scans_apart_are_one_of_each_kind_and_robot_in_the_time():
     scans = [scan(robot, ms, [(1, (2.0, 0.0))]) for ms in range(0, 12_000, 500)
              for robot in ('r1', 'r2')]
@@ -126,3 +159,11 @@ def test_without_observations_of_a_kind_its_factor_is_not_known():
     found = scales_over_windows(team('r1'), records, {'landmark': 1.0})
 
     assert not found['landmark'].is_known()
+
+
+def test_without_observations_of_one_of_two_kinds_neither_factor_is_known():
+    found = scales_over_windows(
+        team(), received(simulated(1, rate=1)), {'landmark': 1.0, 'robot': 1.0})
+
+    assert not found['landmark'].is_known()
+    assert not found['robot'].is_known()
