@@ -15,7 +15,7 @@ from fej_slam_ros.core.calibration.innovation_windows import (
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
 from helpers.calibration import error, received, simulated
-from helpers.records import claiming, odometry, scan, team
+from helpers.records import claiming, MS, odometry, robot_scan, scan, team
 
 #: Number of messages for which an error persists, and number of messages in 5 s at 5 Hz.
 LENGTH, WINDOW = 12, 25
@@ -110,23 +110,6 @@ def test_errors_of_observations_that_persist_count_over_5_s_but_for_what_the_map
     assert single.scale < 0.4 * FACTOR
 
 
-def test_observations_of_a_landmark_by_two_sensors_at_one_stamp_are_summed():
-    # A robot that stands still starts a landmark, and sees it again with two errors.
-    records = [
-        *(odometry('r1', ms, (0.0, 0.0, 0.0), np.zeros((3, 3))) for ms in range(0, 7001, 100)),
-        scan('r1', 0, [(1, (2.0, 0.0))]), scan('r1', 6000, [(1, (2.1, 0.0))]),
-        scan('r1', 6000, [(1, (2.2, 0.0))])]
-    windows = InnovationWindows()
-
-    run(team('r1'), received(sorted(records, key=lambda r: r.stamp)), innovations=windows)
-
-    # Landmark and observations have a variance of 0.01 m^2 each: of the sum of 0.3 m, that of the
-    # landmark counts four times, that of the observations twice.
-    numerators, denominators = windows.moments(['landmark', 'robot'])
-    np.testing.assert_allclose(numerators, [[0.3 ** 2 * 0.02 / 0.06 ** 2, 0.0]], rtol=1e-9)
-    np.testing.assert_allclose(denominators, [[2.0 * 0.02 / 0.06, 0.0]], rtol=1e-9)
-
-
 def test_standard_errors_of_factors_are_those_of_q_through_its_slope():
     # q of the first kind depends on the first factor, that of the second on both.
     moments = Moments(
@@ -142,15 +125,95 @@ def test_standard_errors_of_factors_are_those_of_q_through_its_slope():
 
 
 def test_scans_apart_are_one_of_each_kind_and_robot_in_the_time():
-    scans = [scan(robot, ms, [(1, (2.0, 0.0))]) for ms in range(0, 12_000, 500)
-             for robot in ('r1', 'r2')]
     messages = [odometry('r1', ms) for ms in range(0, 12_000, 500)]
+    # Those of r1 at 0 and 5 s are empty, and the last one comes after later ones.
+    scans = [record for ms in range(0, 12_000, 500) for record in (
+        scan('r1', ms, [(1, (2.0, 0.0))] if ms % 5000 else []),
+        robot_scan('r1', ms + 100, [('r2', (2.0, 0.0))]),
+        scan('r2', ms + 250, [(1, (2.0, 0.0))]))]
+    late = scan('r1', 9900, [(1, (2.0, 0.0))])
 
-    kept = [record for record, _ in with_scans_apart(received([*messages, *scans]), 5 * NS)]
+    kept = [record for record, _ in with_scans_apart(received([*messages, *scans, late]), 5 * NS)]
 
     assert kept[:len(messages)] == messages
-    assert [(record.robot, record.stamp // NS) for record in kept[len(messages):]] == [
-        (robot, s) for s in (0, 5, 10) for robot in ('r1', 'r2')]
+    assert [(type(record), record.robot, record.stamp // MS) for record in kept[24:]] == [
+        (kind, robot, s + ms) for s in (0, 5000, 10_000)
+        for kind, robot, ms in ((RobotScan, 'r1', 100), (Scan, 'r2', 250), (Scan, 'r1', 500))]
+
+
+def still(*robots):
+    """Return odometry of robots that stand still for 14 s, without any error."""
+    return [odometry(robot, ms, (0.0, 0.0, 0.0), np.zeros((3, 3)))
+            for ms in range(0, 14_001, 100) for robot in robots]
+
+
+def windows_of(settings, records):
+    """Return the innovations over windows of an estimator, and the estimator, after records."""
+    windows = InnovationWindows()
+    estimator, _ = run(
+        settings, received(sorted(records, key=lambda r: r.stamp)), innovations=windows)
+    return windows, estimator
+
+
+def test_observations_of_a_landmark_by_two_sensors_at_one_stamp_are_summed():
+    # A robot that stands still starts a landmark, and sees it again with two errors.
+    windows, _ = windows_of(team('r1'), [
+        *still('r1'), scan('r1', 0, [(1, (2.0, 0.0))]), scan('r1', 6000, [(1, (2.1, 0.0))]),
+        scan('r1', 6000, [(1, (2.2, 0.0))])])
+
+    # Landmark and observations have a variance of 0.01 m^2 each: of the sum of 0.3 m, that of the
+    # landmark counts four times, that of the observations twice.
+    numerators, denominators = windows.moments(['landmark', 'robot'])
+    np.testing.assert_allclose(numerators, [[0.3 ** 2 * 0.02 / 0.06 ** 2, 0.0]], rtol=1e-9)
+    np.testing.assert_allclose(denominators, [[2.0 * 0.02 / 0.06, 0.0]], rtol=1e-9)
+
+
+def test_observations_of_a_landmark_by_two_robots_are_not_summed():
+    settings = team('r1', 'r2', known=[('r2', (0.0, 0.0, 0.0), (1e-7, 1e-7, 1e-7))])
+
+    windows, _ = windows_of(settings, [
+        *still('r1', 'r2'), scan('r1', 0, [(1, (2.0, 0.0))]),
+        scan('r1', 6000, [(1, (2.1, 0.0))]), scan('r2', 6000, [(1, (2.2, 0.0))])])
+
+    # V is 0.02 m^2 for each, with 0.01 m^2 in common: V^-1 e is (0, 10), tr V^-1 is 400 / 3.
+    numerators, denominators = windows.moments(['landmark'])
+    np.testing.assert_allclose(numerators, [[0.01 * 10.0 ** 2]], rtol=1e-6)
+    np.testing.assert_allclose(denominators, [[2.0 * 0.01 * 400.0 / 3.0]], rtol=1e-6)
+
+
+def test_windows_of_5_s_leave_the_statistics_of_innovations_as_they_are():
+    records = [*still('r1'), *(
+        scan('r1', ms, [(1, (2.0 + 1e-5 * ms, 0.0))]) for ms in (0, 6000, 9900, 10_100))]
+
+    windows, estimator = windows_of(team('r1'), records)
+
+    alone, _ = run(team('r1'), received(sorted(records, key=lambda r: r.stamp)))
+    assert windows.moments(['landmark']).numerators.shape == (2, 1)
+    assert estimator.innovations.log_likelihood == alone.innovations.log_likelihood
+
+
+def test_outliers_change_the_factor_little():
+    # None of them starts a landmark.
+    def with_outlier(k, record):
+        if not isinstance(record, Scan) or not record.observations or k % 40 != 1 or k < 100:
+            return record
+        first, *others = record.observations
+        return replace(record, observations=(replace(first, z=first.z + 10.0), *others))
+
+    wrong = [with_outlier(k, record) for k, record in enumerate(simulated(1))]
+
+    found = scales_over_windows(team(), received(wrong), {'landmark': 1.0})['landmark']
+
+    assert found.scale == pytest.approx(1.0, rel=0.1)
+
+
+def test_moments_of_a_kind_do_not_depend_on_others_that_are_asked_for():
+    windows, _ = windows_of(team(), simulated(1, rate=1, robot_sigma=[0.2, 0.2]))
+
+    both, one = windows.moments(['robot', 'landmark']), windows.moments(['landmark'])
+
+    np.testing.assert_array_equal(np.array(both)[:, :, 1:], one)
+    assert both.is_complete()
 
 
 def test_without_observations_of_a_kind_its_factor_is_not_known():
