@@ -8,9 +8,12 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.geometry import compose, inverse, transform, transform_poses
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS
 from helpers.csam import joined_maps, Met, true_base_node, with_exact_odometry
 
@@ -40,6 +43,21 @@ def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wr
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
     assert [failure.robots for failure in failed] == [('r1', 'r2')]
     assert 'inconsistent' in failed[0].reason
+
+
+@pytest.mark.parametrize(('count', 'is_aligned'), [(9, False), (10, True)])
+def test_one_observation_of_ten_may_be_wrong(count, is_aligned):
+    team = Met(9, [(0, 1, k) for k in range(3, 3 + count)], steps=20)
+    measured = [
+        replace(m, z=m.z + np.array([2.0, 0.0])) if m.pose == 5 else m for m in team.measurements]
+
+    found = RendezvousAligner(measured, DEFAULT_RULES).align(
+        *map(JointMap.of, team.maps), measured)
+
+    assert isinstance(found, JoinFailure) != is_aligned
+    if is_aligned:
+        _, kept = found
+        assert [m.pose for m in kept] == [3, 4, *range(6, 13)]
 
 
 def test_three_rendezvous_that_agree_outvote_two_earlier_ones_with_one_lie():
