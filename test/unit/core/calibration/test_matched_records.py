@@ -51,8 +51,9 @@ def test_observations_of_one_landmark_have_one_id_and_their_own_noise():
         np.testing.assert_array_equal(observation.R, noise[observation.z.tobytes()])
 
 
-def test_known_ids_are_kept_and_others_are_none_of_them():
-    prior = PriorMap((-5, 40), np.array([[3.0, 0.0], [3.0, 2.0]]), 1e-4 * np.eye(4))
+@pytest.mark.parametrize('known', [40, 60])
+def test_known_ids_are_kept_and_others_are_none_of_them(known):
+    prior = PriorMap((-5, known), np.array([[3.0, 0.0], [3.0, 2.0]]), 1e-4 * np.eye(4))
     records = received([
         TrueLandmarks({50: np.zeros(2)}),
         *(record for ms in range(0, 1000, 100) for record in (
@@ -66,8 +67,8 @@ def test_known_ids_are_kept_and_others_are_none_of_them():
     for record in scans(matched.records):
         ids = {tuple(o.z): o.id for o in record.observations}
         new = ids.pop((2.0, -3.0))
-        assert ids == {(1.0, -1.0): 7, (3.0, 0.0): -5, (3.0, 2.0): 40}
-        assert new > 50
+        assert ids == {(1.0, -1.0): 7, (3.0, 0.0): -5, (3.0, 2.0): known}
+        assert new > max(known, 50)
     assert scans(matched.records)[0].observations[-1].id == new
 
 
