@@ -181,7 +181,7 @@ def test_odometry_over_more_than_a_minute_is_no_error():
         truth = [true_pose('r1', 1000 * s, (0.0, 0.0, 0.0)) for s in seconds]
         return normalized_errors([*jumping, *truth], team()).get('odometry', {'r1': []})['r1']
 
-    assert len(errors(*range(300))) == pytest.approx(196 // 5, abs=1)
+    assert len(errors(*range(300))) == 196 // 5
     assert max(errors(*range(300))) == pytest.approx(5.0 ** 2 / (50 * 0.1 ** 2))
     assert errors(110, 180, 250) == []
     assert len(errors(110, 165, 250)) == 1
