@@ -18,7 +18,8 @@ from scipy.linalg import block_diag, cholesky, LinAlgError, qr, solve_triangular
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import squared_distances
-from fej_slam_ros.core.gauss_newton import gauss_newton, NoMinimumError, SingularError
+from fej_slam_ros.core.gauss_newton import (
+    ConvergenceError, gauss_newton, NoMinimumError, SingularError)
 from fej_slam_ros.core.geometry import (
     Array, between, compose, Flags, Indices, inverse, pose_rotation, poses_plus, rigid_fit,
     rotation, transform, transform_poses, wrap_all)
@@ -119,7 +120,15 @@ def square_root_information(P: Array) -> Array:
 def align(
     p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
 ) -> Alignment | JoinFailure:
-    """Return the base node of two maps from observations in the order of time."""
+    """
+    Return the base node of two maps from observations in the order of time.
+
+    Raises
+    ------
+    ConvergenceError
+        If there is no minimum, as beside an observation that is far off, see `farthest`.
+
+    """
     if len(observations.z) < MIN_OBSERVATIONS:
         return JoinFailure(
             f'not enough observations: 1 of the {MIN_OBSERVATIONS} that are needed')
@@ -135,7 +144,14 @@ def align(
             return algorithm.solve(start)
         except NoMinimumError:  # noqa: PERF203
             continue
-    return JoinFailure('cannot align: the iteration did not converge')
+    raise ConvergenceError('the iteration did not converge')
+
+
+def farthest(
+    p: RendezvousInformation, q: RendezvousInformation, observations: RendezvousObservations
+) -> tuple[int, float]:
+    """Return the observation farthest from a rigid fit of all, and its squared distance."""
+    return _Algorithm1(p, q, observations).farthest()
 
 
 def central(count: int, length: int) -> slice:
@@ -205,6 +221,13 @@ class _Algorithm1:
             if length >= count:
                 return
             length *= 2
+
+    def farthest(self) -> tuple[int, float]:
+        """Return the row of the observation farthest from a rigid fit, and d^2 [sigma^2]."""
+        q_in_p = transform(rigid_fit(self._in_q, self._in_p, self._weights), self._in_q)
+        d2 = self._weights * np.square(self._in_p - q_in_p).sum(axis=1)
+        row = int(np.argmax(d2))
+        return row, float(d2[row])
 
     def spread(self, window: slice = slice(None)) -> float:
         """Return the smaller spread of the observed positions in p and q [sigma]."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from fej_slam_ros.core.csam.agreement import largest_agreement, MAX_COMPARED
 from fej_slam_ros.core.csam.base_node import (
-    align, BaseNode, central, RendezvousInformation, RendezvousObservations)
+    align, BaseNode, central, farthest, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, MIN_PER_OUTLIER, Rendezvous
-from fej_slam_ros.core.gauss_newton import SingularError
+from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.marginals import Information
@@ -111,7 +111,11 @@ class RendezvousAligner:
             ends = rendezvous_between(p, q, window, self._information_of)
         except SingularError as error:
             return JoinFailure(f'cannot align: {error}')
-        aligned = align(*ends)
+        try:
+            aligned = align(*ends)
+        except ConvergenceError as error:
+            row, d2 = farthest(*ends)
+            return JoinFailure(f'cannot align: {error}', outlier=window[row].key, d2=d2)
         if isinstance(aligned, JoinFailure):
             return aligned
         failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)

@@ -21,7 +21,7 @@ from fej_slam_ros.core.csam.base_node import (
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import MAX_RENDEZVOUS_PAUSE
-from fej_slam_ros.core.gauss_newton import NoMinimumError
+from fej_slam_ros.core.gauss_newton import ConvergenceError, NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.blocks import (
@@ -216,7 +216,10 @@ def _aligned(own: WindowInformation, theirs: WindowInformation) -> Alignment | J
         np.array([their_row[t] for t, _, _ in observed], np.intp),
         np.array([by_own for _, by_own, _ in observed], np.bool_),
         np.array([o.z for _, _, o in observed]), np.array([o.R for _, _, o in observed]))
-    alignment = align(own.information, theirs.information, observations)
+    try:
+        alignment = align(own.information, theirs.information, observations)
+    except ConvergenceError as error:
+        return JoinFailure(f'cannot align: {error}')
     if isinstance(alignment, JoinFailure):
         return alignment
     return DEFAULT_RULES.inconsistency(alignment.chi_square, alignment.dof) or alignment

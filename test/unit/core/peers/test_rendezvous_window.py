@@ -90,14 +90,16 @@ def test_without_a_rendezvous_there_is_no_information():
     assert robots['p'].share_rendezvous('q') is None
 
 
-def test_a_rendezvous_that_contradicts_the_maps_is_rejected_with_its_chi_square():
+@pytest.mark.parametrize(('size', 'reason'), [
+    (0.2, 'inconsistent (chi-square'), (20.0, 'cannot align: the iteration did not converge')])
+def test_a_rendezvous_that_contradicts_the_maps_is_rejected_with_the_reason(size, reason):
     rng = np.random.default_rng(0)
 
     def displaced(record):
         if record.robot != 'p' or not isinstance(record, RobotScan):
             return record
         return replace(record, observations=tuple(
-            replace(o, z=o.z + rng.uniform(-0.2, 0.2, 2)) for o in record.observations))
+            replace(o, z=o.z + rng.uniform(-size, size, 2)) for o in record.observations))
 
     robots, _ = met('map_joining', change=displaced)
     robots['q'].share_rendezvous('p')
@@ -106,7 +108,7 @@ def test_a_rendezvous_that_contradicts_the_maps_is_rejected_with_its_chi_square(
     failure = robots['p'].share_rendezvous('q').alignment
 
     assert isinstance(failure, JoinFailure)
-    assert 'inconsistent (chi-square' in failure.reason
+    assert reason in failure.reason
 
 
 def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
