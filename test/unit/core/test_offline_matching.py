@@ -55,8 +55,25 @@ def test_what_matches_no_confirmed_landmark_is_left_out_of_a_scan():
 
     matches = match(team('r1'), received(records))
 
+    # Nothing but the first scan and the clutter is of a landmark that is not known.
+    counted = [matches.counts[kind] for kind in ('new', 'matched', 'doubtful')]
+    assert counted == [4, 27, 0]
     found = matches.with_ids(records[-1])
     assert {tuple(o.z) for o in found.observations} == {*places}
     assert all(o.id < NO_ID for o in found.observations)
     with_ids = scan('r1', 0, [(7, (1.0, 0.0))])
     assert matches.with_ids(with_ids) is with_ids
+
+
+def test_a_robot_that_has_joined_no_other_keeps_its_matches():
+    places = {'r1': [(3.0, 0.0), (3.0, 2.0)], 'r2': [(5.0, 1.0), (2.0, -3.0)]}
+    records = [
+        record for ms in range(0, 1000, 100) for robot in places for record in (
+            odometry(robot, ms, (0.0, 0.0, 0.0)),
+            scan(robot, ms, [(NO_ID, z) for z in places[robot]]))]
+
+    matches = match(team(), received(records))
+
+    for robot in places:
+        ids = {id_ for (observer, _, _), id_ in matches.ids.items() if observer == robot}
+        assert len(ids) == 2

@@ -334,10 +334,11 @@ def test_sessions_with_too_few_observations_are_pooled():
     assert len(joined(Met(15, met, steps=30)).problem.rendezvous.z) == 2
 
 
-@pytest.mark.parametrize('wrong', [[7], [0, 30]])
+# The first rendezvous joins the maps, a second one closes a loop.
+@pytest.mark.parametrize('wrong', [[7], [0, 30], [55], [42, 60]])
 def test_a_few_outliers_of_a_long_rendezvous_are_left_out_and_reported(wrong):
-    met = [(0, 1, k) for k in range(3, 43)]
-    team = Met(20, met, steps=45)
+    met = [(0, 1, k) for k in (*range(3, 43), *range(80, 120))]
+    team = Met(20, met, steps=120)
     measurements = [
         replace(m, z=m.z + np.array([0.0, 1.5])) if k in wrong else m
         for k, m in enumerate(team.measurements)]
