@@ -42,12 +42,7 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
                 f'{bag} has messages on none of the topics {", ".join(absent)}, {found}'
                 + (f', or name its robots ({others}) in the parameter robots' if others else ''))
         logging.getLogger(__name__).warning('%s has no %s, %s', bag, ', '.join(absent), found)
-    faults = _wrong_types(bag, team, topics)
-    wrong = [faults[f'{robot}/odom'] for robot in team if f'{robot}/odom' in faults]
-    if len(absent) + len(wrong) == len(team):
-        raise UserError(wrong[0])
-    for fault in faults.values():
-        logging.getLogger(__name__).warning(fault)
+    _check_types(bag, team, topics)
     for robot in team:
         computed = front_end_topics.cure(topics, robot)
         if computed and f'{robot}/landmarks' not in topics:
@@ -56,15 +51,21 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
     return bags.read_with_bar(bag, names, topics)
 
 
-def _wrong_types(
+def _check_types(
     bag: Path, team: Iterable[str], topics: Mapping[str, bags.BagTopic]
-) -> dict[str, str]:
-    """Return a sentence about each input topic of a team with messages of another type."""
-    return {
-        name: f'{bag} has {name} of the type {topics[name].type_name}, which is not used: record'
+) -> None:
+    """Name the input topics of a team with messages of another type; some odometry is needed."""
+    with_messages = {name: topics[name].type_name for name in topics if topics[name].messages}
+    faults = {
+        name: f'{bag} has {name} of the type {with_messages[name]}, which is not used: record'
         f' {expected} on it, or give the topic that has it with --remap'
         for name, expected in expected_topics(team).items()
-        if name in topics and topics[name].messages and topics[name].type_name != expected}
+        if with_messages.get(name, expected) != expected}
+    odometry = [f'{robot}/odom' for robot in team if f'{robot}/odom' in with_messages]
+    if faults.keys() >= {*odometry}:
+        raise UserError(faults[odometry[0]])
+    for fault in faults.values():
+        logging.getLogger(__name__).warning(fault)
 
 
 def has_landmarks_without_ids(bag: Path, settings: CommonSettings, names: TopicNames) -> bool:

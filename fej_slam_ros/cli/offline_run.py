@@ -183,7 +183,8 @@ def _renew_picture(folder: Path, is_wanted: bool) -> None:
     result = run_results.read_folder(folder)
     frames = {name: trajectory.frame for name, trajectory in result.trajectories.items()}
     frame = MAP if MAP in frames.values() else next(iter(frames.values()), MAP)
-    result = replace(result, landmarks=run_results.landmarks(folder, frame))
+    if frame != MAP:
+        result = replace(result, landmarks=run_results.landmarks(folder, frame))
     write_figure(
         folder / PICTURE, draw_run,
         f'{folder.resolve().name}: estimates in {frame} with 3-sigma ellipses', result,
