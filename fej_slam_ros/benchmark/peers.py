@@ -63,7 +63,7 @@ class Ours:
         self._team.step(motions, scans)
         state = self._team.state
         return {
-            name: (state.estimate(robot), state.marginal([robot]))
+            name: (state.pose(robot), state.marginal([robot]))
             for name, robot in state.robots.items()}
 
 

@@ -15,13 +15,13 @@ import numpy as np
 
 from fej_slam_ros.benchmark.machine import Times
 from fej_slam_ros.benchmark.synthetic_drive import (
-    drive, DRIVE_R, DRIVE_ROBOTS, fej_filter, Measurements, START_P, SyntheticDrive)
+    drive, DRIVE_ROBOTS, fej_filter, Measurements, START_P, SyntheticDrive)
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
 from fej_slam_ros.core.ekf.covariance import SparseRows
-from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.filter import Filter, stacked
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.state import JointState, observation_columns
+from fej_slam_ros.core.ekf.state import JointState
 
 #: Numbers of states and observations.
 SIZES = (50, 2), (50, 10), (200, 10), (500, 10), (1000, 10), (2000, 10), (5000, 10)
@@ -107,13 +107,9 @@ def _compressed_time(measured: SyntheticDrive, dense: JointState) -> CompressedT
 def _update_time(team: Filter, measurements: Measurements) -> Times:
     """Time the covariance update by the observations of a step."""
     state, (_, scans) = team.state, measurements
-    pairs = [
-        (state.robots[scan.robot], state.landmarks[team.landmark_key(scan.robot, observation.id)])
-        for scan in scans for observation in scan.observations]
-    observed = observation_columns(*zip(*pairs))
-    H = SparseRows(
-        observed.columns, KERNEL.H(team.linearization.observation_points(state, observed)))
-    noise, r = np.tile(DRIVE_R, (len(pairs), 1, 1)), np.zeros(2 * len(pairs))
+    columns, _, noise = stacked(team.start_landmarks(scans))
+    H = SparseRows(columns, KERNEL.H(team.linearization.observation_points(state, columns)))
+    r = np.zeros(2 * len(noise))
     covariance, seconds = state.whole(), []
     for _ in range(UPDATES):
         begin = perf_counter()

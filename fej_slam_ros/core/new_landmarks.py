@@ -52,9 +52,9 @@ def start_landmarks(
 
 def _unknown_observations(filter_: Filter, scan: Scan) -> list[Observation]:
     """Return the observations of landmarks that are not in the state."""
-    landmarks = filter_.state.landmarks
+    keys = filter_.landmark_keys(scan.robot, [s.id for s in scan.observations])
     return [
-        s for s in scan.observations if filter_.landmark_key(scan.robot, s.id) not in landmarks]
+        s for s, key in zip(scan.observations, keys) if key not in filter_.state.landmarks]
 
 
 def _without(

@@ -19,7 +19,7 @@ from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import Motion, Step
+from fej_slam_ros.core.records import LandmarkKey, Motion, Scan, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 
@@ -68,8 +68,7 @@ class Quarantine:
         for scan in step.scans:
             group = self._groups.of(scan.robot)
             if self._has_turned(scan.robot, min_landmarks) and any(
-                    group.filter.landmark_key(scan.robot, s.id) in group.state.landmarks
-                    for s in scan.observations):
+                    key in group.state.landmarks for key in _landmark_keys(group, scan)):
                 self._restart_turned(scan.robot, step.stamp)
         for robot_scan in step.robot_scans:
             for observation in robot_scan.observations:
@@ -127,8 +126,7 @@ class Quarantine:
         robot, parts = scan.with_ids.robot, (scan.with_ids, scan.associated)
         if not self._lost_robots.is_suspected(robot):
             return scan
-        keys = [
-            group.filter.landmark_key(robot, s.id) for part in parts for s in part.observations]
+        keys = [key for part in parts for key in _landmark_keys(group, part)]
         if not keys:
             return scan
         landmarks = group.state.landmarks
@@ -144,8 +142,8 @@ class Quarantine:
                 self._reject(robot, scan.with_ids.stamp, key[1])
         with_ids, associated = (
             replace(part, observations=tuple(
-                s for s in part.observations
-                if group.filter.landmark_key(robot, s.id) in known)) for part in parts)
+                s for s, key in zip(part.observations, _landmark_keys(group, part))
+                if key in known)) for part in parts)
         return replace(scan, with_ids=with_ids, associated=associated)
 
     def robot_associations(self, group: FrameGroup, step: Step) -> Iterator[Association]:
@@ -165,6 +163,11 @@ class Quarantine:
     def _reject(self, robot: str, stamp: int, id_: int, observed: str | None = None) -> None:
         self._statistics.reject_observation(
             Rejection(robot, stamp, RejectionReason.LOST_ROBOT, id=id_, observed=observed))
+
+
+def _landmark_keys(group: FrameGroup, scan: Scan) -> list[LandmarkKey]:
+    """Return the identities of the landmarks that a scan observes."""
+    return group.filter.landmark_keys(scan.robot, [s.id for s in scan.observations])
 
 
 def _count_with_ids(state: JointState) -> int:

@@ -92,8 +92,10 @@ class TeamJoiner:
         self._groups.is_initialized = True
         scans: InitialScans = {
             scan.robot: [
-                (team.filter.landmark_key(scan.robot, observation.id), observation)
-                for observation in scan.observations if observation.id != NO_ID]
+                (key, s) for key, s in zip(
+                    team.filter.landmark_keys(scan.robot, [s.id for s in scan.observations]),
+                    scan.observations)
+                if s.id != NO_ID]
             for scan in step.scans}
         try:
             state = initialize(

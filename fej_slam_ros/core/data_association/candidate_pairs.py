@@ -156,9 +156,8 @@ def candidate_pairs(
     if not landmarks:
         none, empty = np.empty(0, np.intp), np.empty(0)
         return CandidatePairs(none, none, empty, empty, empty, empty, np.empty((0, 0)))
-    variables = observation_columns([robot] * len(landmarks), landmarks)
-    columns = variables.columns
-    H = KERNEL.H(linearization.observation_points(state, variables))
+    columns = observation_columns([robot] * len(landmarks), landmarks)
+    H = KERNEL.H(linearization.observation_points(state, columns))
     z, R = np.array([s.z for s in observations]), np.array([s.R for s in observations])
     r = z[:, None] - KERNEL.h(state.estimates_of(columns))
     # Cheap tests come first: d2 is at least |r|^2 / tr S.

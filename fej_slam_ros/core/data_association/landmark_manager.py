@@ -91,7 +91,7 @@ class FieldOfView:
         self, state: JointState, robot: Robot, landmarks: Sequence[Landmark]
     ) -> Flags:
         """Return which landmarks (l,) the robot should observe."""
-        poses = np.broadcast_to(state.estimate(robot), (len(landmarks), 3))
+        poses = np.broadcast_to(state.pose(robot), (len(landmarks), 3))
         x, y = h(poses, state.estimates_of(position_indices(landmarks))).T
         near = np.hypot(x, y) <= SURE_RANGE * self.range
         sure: Flags = near & (np.abs(np.arctan2(y, x)) <= SURE_BEARING * self.bearing)
@@ -175,9 +175,8 @@ class LandmarkManager:
         if self.last == NO_ID:
             return
         state, robot = filter_.state, filter_.state.robots[scan.with_ids.robot]
-        keys = [
-            filter_.landmark_key(robot.name, s.id)
-            for s in (*scan.with_ids.observations, *scan.associated.observations)]
+        keys = filter_.landmark_keys(robot.name, [
+            s.id for s in (*scan.with_ids.observations, *scan.associated.observations)])
         observed = [state.landmarks[key] for key in keys if key in state.landmarks]
         for landmark in observed:
             self._add_hit(robot, landmark)
@@ -241,10 +240,12 @@ def _landmarks_for(
     filter_: Filter, robot: str, with_ids: Sequence[Observation]
 ) -> list[Landmark]:
     """Return the landmarks that a robot's observations without ID may be of, beside others."""
-    observed = {filter_.landmark_key(robot, s.id) for s in with_ids}
+    landmarks = filter_.state.landmarks
+    observed = {*filter_.landmark_keys(robot, [s.id for s in with_ids])}
+    observable = filter_.landmark_keys(robot, [id_ for _, id_ in landmarks])
     return [
-        landmark for key, landmark in filter_.state.landmarks.items()
-        if key not in observed and key == filter_.landmark_key(robot, key[1])]
+        landmark for (key, landmark), of_robot in zip(landmarks.items(), observable)
+        if key == of_robot and key not in observed]
 
 
 def _matched(

@@ -97,7 +97,7 @@ def report_moved(state: JointState, innovation: Innovation, statistics: Statisti
     for robot, landmark in contradicting:
         if _pose_is_confirmed(robot, landmark, passed, rejected):
             landmark.moved_evidence = landmark.moved_evidence or MovedLandmarkEvidence()
-            landmark.moved_evidence.add(robot.name, state.estimate(robot)[:2])
+            landmark.moved_evidence.add(robot.name, state.pose(robot)[:2])
 
 
 def forget_moved(state: JointState, innovation: Innovation, statistics: StatisticsByRobot) -> None:

@@ -363,72 +363,46 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
     Py_RETURN_NONE;
 }
 
-static int have_equal_shapes(PyArrayObject *one, PyArrayObject *other)
+/* Copy an array of `size` numbers. */
+static void copy_numbers(PyObject *object, Py_ssize_t size, double *numbers)
 {
-    return PyArray_NDIM(one) == PyArray_NDIM(other)
-        && PyArray_CompareLists(PyArray_DIMS(one), PyArray_DIMS(other), PyArray_NDIM(one));
+    PyObject *array = PyArray_FROM_OTF(object, NPY_DOUBLE, NPY_ARRAY_CARRAY_RO);
+    if (array && PyArray_SIZE((PyArrayObject *)array) != size)
+        PyErr_Format(PyExc_ValueError, "arrays of %zd numbers expected", size);
+    else if (array)
+        memcpy(numbers, PyArray_DATA((PyArrayObject *)array), size * sizeof(double));
+    Py_XDECREF(array);
 }
 
-/* stacked(arrays): arrays of equal shapes of up to two axes */
-static PyObject *stacked(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+/* stacked(observers, observed, z, R): states, z, R */
+static PyObject *stacked(PyObject *module, PyObject *const *lists, Py_ssize_t given)
 {
-    PyObject *list = given == 1 ? PySequence_Fast(arguments[0], "a sequence expected") : NULL;
-    if (!list || !PySequence_Fast_GET_SIZE(list)) {
-        Py_XDECREF(list);
-        return PyErr_Occurred() ? NULL : PyErr_Format(PyExc_ValueError, "no arrays given");
-    }
-    Arrays a = {.count = 0, .taken = 0};
-    Py_ssize_t count = PySequence_Fast_GET_SIZE(list), size = 0;
-    PyArrayObject *first = NULL;
-    double *all = NULL;
-    for (Py_ssize_t k = 0; k < count; k++) {
-        PyArrayObject *array = (PyArrayObject *)PyArray_FROM_OTF(
-            PySequence_Fast_GET_ITEM(list, k), NPY_DOUBLE, NPY_ARRAY_CARRAY_RO);
-        if (array && !first && PyArray_NDIM(array) <= 2) {
-            int axes = PyArray_NDIM(array);
-            first = (PyArrayObject *)Py_NewRef(array);
-            npy_intp shape[3] = {count, axes > 0 ? PyArray_DIM(array, 0) : 1,
-                                 axes > 1 ? PyArray_DIM(array, 1) : 1};
-            size = PyArray_SIZE(array);
-            all = create(&a, axes + 1, shape, 0);
+    for (Py_ssize_t i = 0; i < 4; i++)
+        if (given != 4 || !PyList_Check(lists[i])
+                || PyList_GET_SIZE(lists[i]) != PyList_GET_SIZE(lists[0])) {
+            PyErr_SetString(PyExc_TypeError, "four lists of equal length expected");
+            return NULL;
         }
-        if (array && (!first || !have_equal_shapes(first, array)))
-            PyErr_SetString(PyExc_ValueError, "arrays of different shapes");
-        if (!PyErr_Occurred())
-            memcpy(all + k * size, PyArray_DATA(array), size * sizeof(double));
-        Py_XDECREF(array);
-        if (PyErr_Occurred())
-            break;
-    }
-    Py_XDECREF(first);
-    Py_DECREF(list);
-    if (PyErr_Occurred())
-        return release(&a);
-    return results(&a);
-}
+    Arrays a = {.count = 0, .taken = 0};
+    npy_intp m = PyList_GET_SIZE(lists[0]), shape[] = {m, STATES};
+    PyObject *states = PyArray_EMPTY(2, shape, NPY_INTP, 0);
+    double *z = matrix(&a, m, 2, 0), *R = blocks(&a, m, 2, 2);
+    Py_ssize_t *state = states ? PyArray_DATA((PyArrayObject *)states) : NULL;
 
-/* observed_states(observers, observed): the columns (m, 5) of the first states of either */
-static PyObject *observed_states(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
-{
-    if (given != 2 || !PyList_Check(arguments[0]) || !PyList_Check(arguments[1])
-            || PyList_GET_SIZE(arguments[0]) != PyList_GET_SIZE(arguments[1])) {
-        PyErr_SetString(PyExc_TypeError, "two lists of equal length expected");
-        return NULL;
+    for (Py_ssize_t i = 0; i < m && !PyErr_Occurred(); i++, state += STATES) {
+        state[0] = PyLong_AsSsize_t(PyList_GET_ITEM(lists[0], i));
+        state[POSE] = PyLong_AsSsize_t(PyList_GET_ITEM(lists[1], i));
+        state[1] = state[0] + 1;
+        state[2] = state[0] + 2;
+        state[POSE + 1] = state[POSE] + 1;
+        copy_numbers(PyList_GET_ITEM(lists[2], i), 2, z + 2 * i);
+        copy_numbers(PyList_GET_ITEM(lists[3], i), 4, R + 4 * i);
     }
-    npy_intp m = PyList_GET_SIZE(arguments[0]), shape[] = {m, STATES};
-    PyObject *array = PyArray_EMPTY(2, shape, NPY_INTP, 0);
-    Py_ssize_t *columns = array ? PyArray_DATA((PyArrayObject *)array) : NULL;
-
-    for (Py_ssize_t i = 0; array && i < m; i++, columns += STATES) {
-        columns[0] = PyLong_AsSsize_t(PyList_GET_ITEM(arguments[0], i));
-        columns[POSE] = PyLong_AsSsize_t(PyList_GET_ITEM(arguments[1], i));
-        columns[1] = columns[0] + 1;
-        columns[2] = columns[0] + 2;
-        columns[POSE + 1] = columns[POSE] + 1;
-    }
-    if (PyErr_Occurred())
-        Py_CLEAR(array);
-    return array;
+    PyObject *returned = PyErr_Occurred() ? NULL : Py_BuildValue(
+        "OOO", states, a.array[0], a.array[1]);
+    Py_XDECREF(states);
+    release(&a);
+    return returned;
 }
 
 /* h(x), eq. (7), of poses and points in one array */
@@ -507,6 +481,34 @@ static PyObject *columns(PyObject *module, PyObject *const *arguments, Py_ssize_
     return results(&a);
 }
 
+/* replace_columns(lower, indices, full) */
+static PyObject *replace_columns(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "mif"))
+        return NULL;
+    Py_ssize_t capacity = length(&a, 0, 0), k = length(&a, 1, 0);
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && are_indices(&a, 1, capacity)
+                 && is_matrix(&a, 2, capacity, k)))
+        return NULL;
+    double *lower = data(&a, 0), *full = data(&a, 2);
+    const Py_ssize_t *indices = PyArray_DATA(a.array[1]);
+
+    for (Py_ssize_t c = 0; c < k; c++) {
+        Py_ssize_t j = indices[c], diagonal = j * capacity + j;
+        memcpy(lower + diagonal, full + c * capacity + j, (capacity - j) * sizeof(double));
+    }
+    /* The parts above the diagonal, as in copy_columns. */
+    for (Py_ssize_t line = 0; line < capacity; line += LINE)
+        for (Py_ssize_t c = 0; c < k; c++) {
+            Py_ssize_t j = indices[c], stop = j < line + LINE ? j : line + LINE;
+            for (Py_ssize_t i = line; i < stop; i++)
+                lower[i * capacity + j] = full[c * capacity + i];
+        }
+    release(&a);
+    Py_RETURN_NONE;
+}
+
 /*
  * Number the states in `observed` in ascending order; return how many there are. `states` and
  * `column_of`, which is zero at the start, have room for n.
@@ -559,25 +561,33 @@ static PyObject *project(PyObject *module, PyObject *const *arguments, Py_ssize_
         for (Py_ssize_t j = 0; j < d; j++)
             /* A state may be listed twice in a row; its entries are added. */
             H[column_of[observed[i / 2 * d + j]] * rows + i] += jacobian[i * d + j];
-    /* S = (H P) H^T, each row of H having d nonzeros. */
-    for (Py_ssize_t i = 0; i < rows; i++)
-        for (Py_ssize_t l = 0; l <= i; l += 2) {
-            const Py_ssize_t *of_i = observed + i / 2 * d, *of_l = observed + l / 2 * d;
-            double sums[] = {0.0, 0.0};
+    /* S = (H P) H^T by blocks of two observations, each row of H having d nonzeros. */
+    for (Py_ssize_t i = 0; i < m; i++)
+        for (Py_ssize_t l = 0; l <= i; l++) {
+            const Py_ssize_t *of_i = observed + i * d, *of_l = observed + l * d;
+            const double *H_i = jacobian + 2 * i * d, *H_l = jacobian + 2 * l * d;
+            double block[2][2] = {{0.0}};
             for (Py_ssize_t j = 0; j < d; j++) {
                 const double *column = P + column_of[of_l[j]] * n;
-                double HP = 0.0;
-                for (Py_ssize_t e = 0; e < d; e++)
-                    HP += jacobian[i * d + e] * column[of_i[e]];
-                sums[0] += HP * jacobian[l * d + j];
-                sums[1] += HP * jacobian[(l + 1) * d + j];
+                double HP[2] = {0.0};
+                for (Py_ssize_t e = 0; e < d; e++) {
+                    HP[0] += H_i[e] * column[of_i[e]];
+                    HP[1] += H_i[d + e] * column[of_i[e]];
+                }
+                for (int row = 0; row < 2; row++) {
+                    block[row][0] += HP[row] * H_l[j];
+                    block[row][1] += HP[row] * H_l[d + j];
+                }
             }
-            for (Py_ssize_t row = l; row <= i && row < l + 2; row++) {
-                double sum = sums[row - l];
-                if (l / 2 == i / 2)
-                    own[2 * i + row % 2] = own[2 * row + i % 2] = sum += R[2 * i + row % 2];
-                S[i * rows + row] = S[row * rows + i] = sum;
+            if (l == i) {
+                block[0][1] = block[1][0];
+                for (int e = 0; e < 4; e++)
+                    own[4 * i + e] = block[e / 2][e % 2] += R[4 * i + e];
             }
+            for (int row = 0; row < 2; row++)
+                for (int e = 0; e < 2; e++)
+                    S[(2 * i + row) * rows + 2 * l + e] = S[(2 * l + e) * rows + 2 * i + row] =
+                        block[row][e];
         }
     PyMem_Free(column_of);
     return results(&a);
@@ -700,9 +710,9 @@ static int find(const char *module, const char *routine, void **pointer)
 
 static PyMethodDef functions[] = {
     FUNCTION(moved), FUNCTION(Phi), FUNCTION(propagated), FUNCTION(diagonal_block),
-    FUNCTION(settle), FUNCTION(stacked), FUNCTION(observed_states), FUNCTION(h), FUNCTION(H),
-    FUNCTION(columns), FUNCTION(project), FUNCTION(squared_distances), FUNCTION(correction),
-    FUNCTION(subtract_product), FUNCTION(retracted),
+    FUNCTION(settle), FUNCTION(stacked), FUNCTION(h), FUNCTION(H), FUNCTION(columns),
+    FUNCTION(replace_columns), FUNCTION(project), FUNCTION(squared_distances),
+    FUNCTION(correction), FUNCTION(subtract_product), FUNCTION(retracted),
     {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {

@@ -9,14 +9,14 @@ A step of a small map takes most of its time in numpy's calls, not in its flops.
 
 from fej_slam_ros.core.ekf import _kernel, numpy_kernel
 from fej_slam_ros.core.ekf._kernel import (
-    correction, diagonal_block, H, h, moved, observed_states, Phi, propagated, retracted, settle,
-    squared_distances, stacked, subtract_product)
+    correction, diagonal_block, H, h, moved, Phi, propagated, replace_columns,
+    retracted, settle, squared_distances, stacked, subtract_product)
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS
 
 __all__ = [
     'NAME', 'STORAGE_GROWTH', 'H', 'Phi', 'columns', 'correction', 'diagonal_block', 'h', 'moved',
-    'observed_states', 'project', 'propagated', 'retracted', 'settle', 'squared_distances',
+    'project', 'propagated', 'replace_columns', 'retracted', 'settle', 'squared_distances',
     'stacked', 'subtract_product']
 
 NAME = 'compiled'

@@ -32,7 +32,7 @@ import numpy as np
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
-from fej_slam_ros.core.ekf.whitening import pivoted_root, whiten
+from fej_slam_ros.core.ekf.whitening import pivoted_root, whiten, Whitening
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.pieces import pause, PIECE_ELEMENTS, product, ranges
 
@@ -61,24 +61,19 @@ class CompressedCovariance:
     """
 
     def __init__(self, whole: Covariance, members: Indices) -> None:
-        a = len(members)
         # States outside are read often from now on.
         whole.matrix.settle()
         self._whole = whole
-        self._members = members
+        #: covariance of the members and proxies, each group of members before its proxies
+        self._core = Covariance()
+        self._core_index = np.full(whole.dimension, -1)
+        self._members = self._proxies = np.empty(0, np.intp)
+        #: C in Fortran order, with zero rows for states and zero columns for proxies to come
+        self._C = np.zeros((len(whole.matrix.lower), 0), order='F')
+        self._dg = np.empty(0)
         P = whole.matrix.at(members[:, None], members)
         cross = whole.matrix.columns(members)[:whole.dimension]
-        L, C, _ = whiten(P, cross, np.diag(P))
-        # States of the core: members, proxies, new members.
-        g = L.shape[1]
-        #: C in Fortran order, with zero rows for states and zero columns for proxies to come
-        self._C = _extended(C, len(whole.matrix.lower), g)
-        self._core = Covariance()
-        self._core.insert(np.block([[P, L], [L.T, np.eye(g)]]))
-        self._proxies = np.arange(a, a + g)
-        self._core_index = np.full(whole.dimension, -1)
-        self._core_index[members] = np.arange(a)
-        self._dg = np.zeros(g)
+        self._add_members(members, np.empty((len(members), 0)), P, whiten(P, cross, np.diag(P)))
         self._dimension_at_start = self._core.dimension
         #: Flops of updates that a submap without the states that entered would not have cost
         self._flops_of_growth = 0.0
@@ -113,7 +108,8 @@ class CompressedCovariance:
             return None
         if self._contains(indices):
             return x_hat
-        states = np.unique(indices[self._is_outside(indices)])
+        # Faster than np.unique for the few states of a scan.
+        states = np.array(sorted({*indices[self._is_outside(indices)].tolist()}))
         if self._core.dimension + 2 * len(states) > n:
             return None
         return self._entered(states, x_hat)
@@ -121,27 +117,42 @@ class CompressedCovariance:
     def _entered(self, states: Indices, x_hat: Array) -> Array:
         """Let states from outside enter; return the estimate (n,) with them."""
         P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
-        C_l, k, b = self._combination(states), core.dimension, len(states)
+        C_l, k = self._combination(states), core.dimension
         x_hat[states] += C_l @ self._dg
         cross = product(C_l, core.columns(self._proxies)[:k].T)
         C, P_l = self._C[:P.dimension, :len(self._proxies)], P.at(states[:, None], states)
         rest = P_l - C_l @ C_l.T
-        L, C_added, _ = whiten(
-            rest, P.columns(states)[:len(C)] - product(C, C_l.T), np.diag(P_l))
-        g = L.shape[1]
-        start = core.append(b + g)
-        entered, proxies = np.arange(start, start + b), np.arange(start + b, start + b + g)
-        core.lower[start:start + b, :k] = cross
-        core.lower[start:start + b, start:start + b] = (
-            product(cross[:, self._proxies], C_l.T) + rest)
-        core.lower[start + b:start + b + g, start:start + b] = L.T
-        core.lower[proxies, proxies] = 1.0
-        self._core_index[states] = entered
-        self._add_combinations(C_added)
+        of_rest = whiten(rest, P.columns(states)[:len(C)] - product(C, C_l.T), np.diag(P_l))
+        self._add_members(states, cross, product(cross[:, self._proxies], C_l.T) + rest, of_rest)
+        return x_hat
+
+    def _add_members(
+        self, states: Indices, cross: Array, P: Array, of_rest: Whitening
+    ) -> None:
+        """
+        Add states and their proxies to the core.
+
+        Parameters
+        ----------
+        states : (b,) array, the states
+        cross : (b, k) array, their covariance with the k states of the core
+        P : (b, b) array, their covariance
+        of_rest : whitening of what is independent of the proxies so far
+
+        """
+        matrix, (b, k), g = self._core.matrix, cross.shape, of_rest.L.shape[1]
+        start = matrix.append(b + g)
+        proxies = np.arange(start + b, start + b + g)
+        lower = matrix.lower
+        lower[start:start + b, :k] = cross
+        lower[start:start + b, start:start + b] = P
+        lower[start + b:start + b + g, start:start + b] = of_rest.L.T
+        lower[proxies, proxies] = 1.0
+        self._core_index[states] = np.arange(start, start + b)
+        self._add_combinations(of_rest.C)
         self._members = np.concatenate([self._members, states])
         self._proxies = np.concatenate([self._proxies, proxies])
         self._dg = np.concatenate([self._dg, np.zeros(g)])
-        return x_hat
 
     def current_estimates(self, x: Array, indices: Indices) -> Array:
         """Return estimates x of the states `indices`, with C dg added to those of B."""
@@ -149,10 +160,10 @@ class CompressedCovariance:
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
         """Return the symmetric joint covariance (k, k) of the variables, in the order given."""
-        indices = joint_indices(slots)
-        if self._contains(indices):
-            return self._core.marginal([self._slot(slot) for slot in slots])
-        lower = np.tril(self._joint(indices))
+        in_core = [self._slot(slot) for slot in slots]
+        if all(slot.start >= 0 for slot in in_core):
+            return self._core.marginal(in_core)
+        lower = np.tril(self._joint(joint_indices(slots)))
         return lower + np.tril(lower, -1).T
 
     def blocks(self, indices: Indices) -> Array:
@@ -242,7 +253,7 @@ class CompressedCovariance:
         C = self._C[:, :g] if len(self._C) == capacity else _extended(self._C, capacity, g)
         W = product(self._learnt_root().T, C.T, may_end).T  # 2 n a p, in Fortran order
         P_gA = P.at(self._proxies[:, None], core)
-        P_A, dx = product(C, P_gA, may_end), C[:n] @ self._dg  # 2 n a (members)
+        P_A, dx = product(P_gA.T, C.T, may_end).T, C[:n] @ self._dg  # 2 n a (members)
         dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
         pause()

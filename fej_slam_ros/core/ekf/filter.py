@@ -8,6 +8,7 @@ predicted poses, then one joint update with all observations of known landmarks 
 """
 
 from collections.abc import Iterable, Sequence
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +24,8 @@ from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
-    JointState, Landmark, observation_columns, ObservationColumns, position_indices, Robot)
-from fej_slam_ros.core.geometry import Array, perpendicular
+    JointState, Landmark, observation_columns, position_indices, Robot)
+from fej_slam_ros.core.geometry import Array, Indices, perpendicular
 from fej_slam_ros.core.pieces import EndedError, pause
 from fej_slam_ros.core.records import (
     AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan,
@@ -83,9 +84,18 @@ NO_INNOVATION = Innovation((), np.empty(0))
 class StackedObservations(NamedTuple):
     """The m observations of an update."""
 
-    variables: ObservationColumns  #: observers and observed, with their states
+    columns: Indices  #: (m, 5) array, indices of the observer's pose and the observed position
     z: Array  #: (m, 2) array, the measurements
     R: Array  #: (m, 2, 2) array, their noise
+
+
+def stacked(associations: Sequence[Association]) -> StackedObservations:
+    """Return at least one observation as an update takes them."""
+    observers, observed, observations = zip(*associations)
+    return StackedObservations._make(KERNEL.stacked(
+        [robot.slot.start for robot in observers], [variable.slot.start for variable in observed],
+        [observation.z for observation in observations],
+        [observation.R for observation in observations]))
 
 
 class Filter:
@@ -152,9 +162,9 @@ class Filter:
         """
         if not observations:
             return NO_INNOVATION
-        stack, state = self._stacked(observations), self.state
+        stack, state = stacked(observations), self.state
         try:
-            self.submap.ensure_contains(state, stack.variables.columns, may_end=True)
+            self.submap.ensure_contains(state, stack.columns, may_end=True)
         except EndedError:
             return NO_INNOVATION._replace(interrupted=observations)
 
@@ -215,20 +225,13 @@ class Filter:
 
     def _residual(self, stack: StackedObservations) -> Array:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
-        residual: Array = stack.z - KERNEL.h(self.state.estimates_of(stack.variables.columns))
+        residual: Array = stack.z - KERNEL.h(self.state.estimates_of(stack.columns))
         return residual
 
     def _jacobian(self, stack: StackedObservations) -> SparseRows:
         """Return H at the points of the policy, eqs. (10), (11)."""
-        points = self.linearization.observation_points(self.state, stack.variables)
-        return SparseRows(stack.variables.columns, KERNEL.H(points))
-
-    def _stacked(self, observations: Sequence[Association]) -> StackedObservations:
-        return StackedObservations(
-            observation_columns(
-                [a.observer for a in observations], [a.observed for a in observations]),
-            KERNEL.stacked([a.observation.z for a in observations]),
-            KERNEL.stacked([a.observation.R for a in observations]))
+        points = self.linearization.observation_points(self.state, stack.columns)
+        return SparseRows(stack.columns, KERNEL.H(points))
 
     def start_landmarks(self, scans: Iterable[Scan]) -> list[Association]:
         """
@@ -238,15 +241,16 @@ class Filter:
         other robots take part in this step's update. No more are started once the process ends.
 
         """
-        associations, is_ended = [], False
+        associations: list[Association] = []
+        is_ended = False
         for scan in scans:
             robot, landmarks = self.state.robots[scan.robot], self.state.landmarks
-            keys = [self.landmark_key(scan.robot, s.id) for s in scan.observations]
-            new = {key for key in keys if key not in landmarks}
+            keys = self.landmark_keys(scan.robot, [s.id for s in scan.observations])
+            new = {*keys}.difference(landmarks)
             if not new:
-                associations += [
-                    Association(robot, landmarks[key], s)
-                    for key, s in zip(keys, scan.observations)]
+                associations += map(
+                    Association, repeat(robot), map(landmarks.__getitem__, keys),
+                    scan.observations)
                 continue
             is_first = self.state.is_without_earlier_landmarks(robot.stamp)
             reserve(self.state.covariance, [2] * len(new))
@@ -285,8 +289,8 @@ class Filter:
         state = self.state
         robot = min(
             state.robots.values(), key=lambda robot: float(state.marginal([robot])[2, 2]))
-        variables = observation_columns([robot, robot], [landmark, other])
-        f, f_other = self.linearization.observation_points(state, variables)[:, 3:]
+        observed = observation_columns([robot, robot], [landmark, other])
+        f, f_other = self.linearization.observation_points(state, observed)[:, 3:]
         H = np.hstack([np.eye(2), -np.eye(2), -perpendicular(f - f_other)[:, None]])
         columns = np.append(position_indices([landmark, other]), robot.slot.start + 2)
         return state.estimate(landmark) - state.estimate(other), SparseRows(columns[None], H[None])
@@ -299,15 +303,16 @@ class Filter:
         self._correct(state.x_hat, update.apply(-difference).dx)
         state.remove(other)
 
-    def landmark_key(self, robot: str, id_: int) -> LandmarkKey:
-        """Return the identity of the landmark that a robot observes under an ID."""
-        return ('' if self._shared_ids or id_ < 0 else robot, id_)
+    def landmark_keys(self, robot: str, ids: Iterable[int]) -> list[LandmarkKey]:
+        """Return the identities of the landmarks that a robot observes under some IDs."""
+        owner = '' if self._shared_ids else robot
+        return [('' if id_ < 0 else owner, id_) for id_ in ids]
 
     def _start(
         self, robot: Robot, key: PointKey, observation: AnyObservation
     ) -> tuple[Array, Array, Array]:
         """Return a new point (2,), its Jacobian F (2, 3) by the observer's pose, its noise."""
-        x = self.state.estimate(robot)
+        x = self.state.pose(robot)
         G = models.G(x[2])[:2, :2]
         point = x[:2] + G @ observation.z
         F = models.F(self.linearization.offset(self.state, robot, key, point))

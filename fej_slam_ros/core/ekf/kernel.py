@@ -7,7 +7,6 @@ Both compute the same within rounding, so results are repeatable bit for bit wit
 environment variable FEJ_SLAM_KERNEL, ``numpy`` or ``compiled``, overrides the choice.
 """
 
-from collections.abc import Sequence
 from importlib import import_module
 from importlib.util import find_spec
 import os
@@ -43,11 +42,10 @@ class Kernel(Protocol):
     def settle(self, lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
         """Apply a transition to the cross-covariances of a variable."""
 
-    def stacked(self, arrays: Sequence[Array]) -> Array:
-        """Return arrays of one shape as one."""
-
-    def observed_states(self, observers: list[int], observed: list[int]) -> Indices:
-        """Return the states that observations depend on."""
+    def stacked(
+        self, observers: list[int], observed: list[int], z: list[Array], R: list[Array]
+    ) -> tuple[Indices, Array, Array]:
+        """Return observations and the states that they depend on as arrays."""
 
     def h(self, x: Array) -> Array:
         """Return the predicted observations."""
@@ -57,6 +55,9 @@ class Kernel(Protocol):
 
     def columns(self, lower: Array, indices: Indices) -> Array:
         """Return full columns of a symmetric matrix."""
+
+    def replace_columns(self, lower: Array, indices: Indices, full: Array) -> None:
+        """Replace full columns of a symmetric matrix."""
 
     def project(
         self, lower: Array, n: int, observed: Indices, blocks: Array, R: Array

@@ -16,8 +16,8 @@ import numpy as np
 from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.state import JointState, Landmark, ObservationColumns, Robot, Variable
-from fej_slam_ros.core.geometry import Array, perpendicular
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, Variable
+from fej_slam_ros.core.geometry import Array, Indices, perpendicular
 from fej_slam_ros.core.ground_truth import Truth
 from fej_slam_ros.core.records import (
     LandmarkKey, MAX_LINEAR_HEADING_SIGMA, PointKey, RendezvousKey)
@@ -74,9 +74,17 @@ class Linearization:
         difference: Array = point - self._value(state, robot)[:2]
         return difference
 
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
-        """Return the poses and points, (m, 5), at which m observations are linearised."""
-        return state.estimates_of(variables.columns)
+    def observation_points(self, state: JointState, columns: Indices) -> Array:
+        """
+        Return the poses and points, (m, 5), at which m observations are linearised.
+
+        Parameters
+        ----------
+        state : the joint state
+        columns : (m, 5) array, the states that they depend on, as of `observation_columns`
+
+        """
+        return state.estimates_of(columns)
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -154,9 +162,9 @@ class FirstEstimates(Linearization):
 
     """
 
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
+    def observation_points(self, state: JointState, columns: Indices) -> Array:
         """Return the first estimates, eqs. (23) and (24)."""
-        return state.x_first.take(variables.columns)
+        return state.x_first.take(columns)
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int
@@ -187,11 +195,13 @@ class Ideal(Linearization):
         """Return the true f - p."""
         return super().offset(state, robot, key, self._point(key))
 
-    def observation_points(self, state: JointState, variables: ObservationColumns) -> Array:
+    def observation_points(self, state: JointState, columns: Indices) -> Array:
         """Return the truth."""
-        poses = [self._value(state, robot) for robot in variables.observers]
-        points = [self._value(state, variable)[:2] for variable in variables.observed]
-        return np.hstack([np.array(poses), np.array(points)])
+        variables = {variable.slot.start: variable for variable in state.variables()}
+        return np.array([
+            np.concatenate([
+                self._value(state, variables[pose]), self._value(state, variables[point])[:2]])
+            for pose, point in columns[:, [0, 3]].tolist()])
 
     def initialization_points(
         self, state: JointState, poses: Poses, points: Points, stamp: int

@@ -6,7 +6,6 @@ The arithmetic of a filter step in numpy: the reference of the compiled kernel.
 Costs are in flops for n states and m observations that touch k of them.
 """
 
-from collections.abc import Sequence
 import math
 
 import numpy as np
@@ -84,6 +83,13 @@ def _columns(lower: Array, indices: Indices) -> Array:
     return full
 
 
+def replace_columns(lower: Array, indices: Indices, full: Array) -> None:
+    """Replace columns and rows of a symmetric matrix by `full`, a (capacity, k) Fortran array."""
+    for k, j in enumerate(indices.tolist()):
+        lower[j:, j] = full[j:, k]
+        lower[j, :j] = full[:j, k]
+
+
 def compact(columns: Indices, blocks: Array, n: int) -> tuple[Indices, Array]:
     """
     Return the k of n states that observations depend on, in order, and H (2 m, k) in these.
@@ -106,16 +112,21 @@ def compact(columns: Indices, blocks: Array, n: int) -> tuple[Indices, Array]:
     return states, entries.reshape(2 * m, k).astype(np.float64, copy=False)
 
 
-def stacked(arrays: Sequence[Array]) -> Array:
-    """Return arrays of one shape as one array of doubles, along a new first axis."""
-    return np.array(arrays, np.float64)
+def stacked(
+    observers: list[int], observed: list[int], z: list[Array], R: list[Array]
+) -> tuple[Indices, Array, Array]:
+    """
+    Return the states (m, 5) that m observations depend on, z (m, 2) and R (m, 2, 2).
 
+    Parameters
+    ----------
+    observers, observed : the first state of the pose and of the position of each observation
+    z, R : (2,) and (2, 2) arrays, measurements and their noise
 
-def observed_states(observers: list[int], observed: list[int]) -> Indices:
-    """Return the states (m, 5) of m observers and points, given the first state of each."""
+    """
     starts = np.array([observers, observed], np.intp)
     states: Indices = starts.T.take(COLUMN_VARIABLE, 1) + COLUMN_STATE
-    return states
+    return states, np.array(z, np.float64), np.array(R, np.float64)
 
 
 def h(x: Array) -> Array:

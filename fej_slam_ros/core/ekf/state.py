@@ -11,13 +11,12 @@ from collections.abc import Iterable, Sequence
 from copy import copy
 from dataclasses import dataclass, field
 import sys
-from typing import NamedTuple, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from fej_slam_ros.core.ekf.compressed_covariance import JointCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, joint_indices, Slot
-from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence, TentativeEvidence
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey
@@ -80,14 +79,6 @@ VariableT = TypeVar('VariableT', bound=Variable)
 
 #: States of a pose and of a position, counted from the start of the variable.
 POSE, POSITION = np.arange(3), np.arange(2)
-
-
-class ObservationColumns(NamedTuple):
-    """The states that m observations depend on."""
-
-    observers: Sequence[Robot]  #: the m robots
-    observed: Sequence[Variable]  #: the variable that each of them observes
-    columns: Indices  #: (m, 5) array, indices of the observer's pose and of the observed position
 
 
 class VariableSet:
@@ -166,11 +157,13 @@ class VariableSet:
         landmark.rotation_owner, self._heading_owners = robot.name, None
 
     def _add(self, variable: Variable) -> None:
-        self._heading_owners = self._headings = self._landmark_positions = None
+        self._heading_owners = None
         if isinstance(variable, Robot):
             self.robots[variable.name] = variable
+            self._headings = None
         elif isinstance(variable, Landmark):
             self.landmarks[variable.key] = variable
+            self._landmark_positions = None
         else:
             self.rendezvous_points[variable.key] = variable
 
@@ -349,12 +342,9 @@ def position_indices(variables: Sequence[Variable]) -> Indices:
     return _starts(variables) + POSITION
 
 
-def observation_columns(
-    observers: Sequence[Robot], observed: Sequence[Variable]
-) -> ObservationColumns:
-    """Return the states that m observations depend on, each of a variable by a robot."""
-    return ObservationColumns(observers, observed, KERNEL.observed_states(
-        [robot.slot.start for robot in observers], [variable.slot.start for variable in observed]))
+def observation_columns(observers: Sequence[Robot], observed: Sequence[Variable]) -> Indices:
+    """Return the states (m, 5) of observations: the observer's pose and the observed position."""
+    return np.hstack([pose_indices(observers), position_indices(observed)])
 
 
 def _starts(variables: Sequence[Variable]) -> Indices:

@@ -164,9 +164,7 @@ class SymmetricMatrix:
         """Replace columns, and the rows of the same indices, by columns (capacity, k)."""
         self.settle()
         for part in ranges(len(indices), PIECE_ELEMENTS / len(full)):
-            for k, j in zip(range(part.start, part.stop), indices[part].tolist()):
-                self._lower[j:, j] = full[j:, k]
-                self._lower[j, :j] = full[:j, k]
+            KERNEL.replace_columns(self._lower, indices[part], full[:, part])
 
     def subtract_product(self, W: Array) -> None:
         """Subtract W W^T of a Fortran array W, as a kernel does: k n^2 flops."""

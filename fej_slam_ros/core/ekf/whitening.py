@@ -8,6 +8,7 @@ states with e is C L^T, so that they are C g and a rest that is independent of e
 that of P where all states share a large error, unlike with the inverse of P.
 """
 
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -44,7 +45,7 @@ def whiten(P: Array, cross: Array, scale: Array) -> Whitening:
 
     """
     sigma = np.sqrt(np.where(scale > 0.0, scale, 1.0))
-    root, pivots = pivoted_root(P / np.outer(sigma, sigma), len(P) * np.finfo(float).eps)
+    root, pivots = pivoted_root(P / (sigma[:, None] * sigma), len(P) * sys.float_info.epsilon)
     L: Array = sigma[:, None] * root
     if not len(pivots):
         return Whitening(L, np.zeros((len(cross), 0), order='F'), pivots)

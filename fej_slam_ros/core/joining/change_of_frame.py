@@ -29,8 +29,8 @@ def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -
     variables = state.variables()
     pose = state.estimate(robot)
     x, J = [np.empty(0)], np.zeros((len(state.x_hat), len(state.x_hat)))
-    points = linearization.observation_points(
-        state, observation_columns([robot] * len(variables), variables))
+    columns = observation_columns([robot] * len(variables), variables)
+    points = linearization.observation_points(state, columns)
     for variable, H in zip(variables, KERNEL.H(points)):
         slot, value = variable.slot, state.estimate(variable)
         position, heading = slice(slot.start, slot.start + 2), slice(slot.start + 2, slot.stop)

@@ -125,24 +125,33 @@ def test_observation_models_are_equal_for_views_of_joint_arrays(compiled, rng, f
     assert_allclose(*results, **TOLERANCE)
 
 
-def test_states_of_observations_are_equal(compiled, rng):
-    starts = rng.integers(0, 100, size=(2, 4)).tolist()
+def test_stacked_observations_are_equal_whatever_the_layout_and_type_of_their_arrays(
+    compiled, rng,
+):
+    observers, observed = rng.integers(0, 100, size=(2, 3)).tolist()
+    z = [rng.normal(size=4)[::2], np.ones(2, int), rng.normal(size=2)]
+    R = [rng.normal(size=(2, 2)).T, np.eye(2, dtype=int), np.eye(2, dtype=np.float32)]
 
-    assert_array_equal(compiled.observed_states(*starts), numpy_kernel.observed_states(*starts))
+    results = [one.stacked(observers, observed, z, R) for one in (compiled, numpy_kernel)]
+
+    assert results[0][0].tolist() == [
+        [a, a + 1, a + 2, b, b + 1] for a, b in zip(observers, observed)]
+    for one, other, expected in zip(*results, (None, z, R), strict=True):
+        assert_array_equal(one, other)
+        assert one.dtype == other.dtype
+        assert expected is None or np.array_equal(one, expected)
 
 
-@pytest.mark.parametrize('shape', [(), (2,), (2, 2)])
-def test_stacked_arrays_are_equal_whatever_their_layout(compiled, rng, shape):
-    arrays = [rng.normal(size=(2, *shape))[0].T, np.ones(shape, int)]
-
-    assert_array_equal(compiled.stacked(arrays), numpy_kernel.stacked(arrays))
-
-
-@pytest.mark.parametrize('arrays', [
-    [np.zeros(2), np.zeros(3)], [np.zeros((2, 3)), np.zeros((3, 2))], [np.zeros((1, 1, 1))], []])
-def test_arrays_that_cannot_be_stacked_are_refused(compiled, arrays):
-    with pytest.raises(ValueError, match='arrays'):
-        compiled.stacked(arrays)
+@pytest.mark.parametrize(('given', 'error', 'message'), [
+    (([0], [3], [np.zeros(3)], [np.eye(2)]), ValueError, 'of 2 numbers'),
+    (([0], [3], [np.zeros(2)], [np.eye(3)]), ValueError, 'of 4 numbers'),
+    (([0.5], [3], [np.zeros(2)], [np.eye(2)]), TypeError, 'int'),
+    (([0], [3], [np.zeros(2)], []), TypeError, 'four lists'),
+    (([0], [3], np.zeros((1, 2)), [np.eye(2)]), TypeError, 'four lists'),
+    (([0], [3]), TypeError, 'four lists')])
+def test_observations_that_cannot_be_stacked_are_refused(compiled, given, error, message):
+    with pytest.raises(error, match=message):
+        compiled.stacked(*given)
 
 
 @pytest.mark.parametrize(('n', 'm', 'd'), [(8, 1, 5), (50, 2, 5), (50, 30, 5), (90, 9, 7)])
@@ -181,6 +190,22 @@ def test_full_columns_are_equal(compiled, rng, indices):
         assert full.flags.f_contiguous
         assert_array_equal(full[:20], P[:, indices])
         assert not full[20:].any()
+
+
+@pytest.mark.parametrize('indices', [[0, 7, 8, 9], [19, 3], []])
+def test_replaced_columns_are_those_given_and_all_others_stay(compiled, rng, indices):
+    P, lower = covariance(rng, 20, 23)
+    other, _ = covariance(rng, 20, 23)
+    full = np.zeros((23, len(indices)), order='F')
+    full[:20] = other[:, indices]
+    expected = P.copy()
+    expected[:, indices], expected[indices] = other[:, indices], other[indices]
+
+    for one in (compiled, numpy_kernel):
+        replaced = lower.copy('F')
+        one.replace_columns(replaced, np.array(indices, np.intp), full)
+        assert_array_equal(replaced[:20, :20], np.tril(expected))
+        assert not replaced[20:].any()
 
 
 def test_columns_of_the_reference_are_updated_alike(compiled, rng):
@@ -299,6 +324,9 @@ STATES, JACOBIAN, R = np.array([[0, 1, 2, 2, 3]]), np.zeros((1, 2, 5)), np.zeros
     ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 5)),
     ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 5)),
     ('columns', (FULL[:, :3], [0])), ('columns', (FULL, [4])), ('columns', (FULL, [-1])),
+    ('replace_columns', (FULL, [0], np.zeros((3, 1), order='F'))),
+    ('replace_columns', (FULL, [0], np.zeros((4, 2), order='F'))),
+    ('replace_columns', (FULL, [4], np.zeros((4, 1), order='F'))),
     ('retracted', (POSE, np.zeros(2), [2])), ('retracted', (POSE, POSE, [3])),
     ('retracted', (POSE, POSE, [-1]))])
 def test_arrays_of_other_shapes_are_refused(compiled, function, arguments):
