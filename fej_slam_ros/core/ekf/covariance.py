@@ -55,9 +55,12 @@ class SparseRows(NamedTuple):
 
     def after(self, A: 'Transport') -> 'SparseRows':
         """Return H A."""
-        added = np.einsum('mij,mjk->mik', self.blocks, A.V[self.columns])
-        columns = np.broadcast_to(A.columns, (len(self.columns), len(A.columns)))
-        return SparseRows(np.hstack([self.columns, columns]), np.dstack([self.blocks, added]))
+        (m, d), k = self.columns.shape, len(A.columns)
+        columns, blocks = np.empty((m, d + k), np.intp), np.empty((m, 2, d + k))
+        columns[:, :d], columns[:, d:] = self.columns, A.columns
+        blocks[:, :, :d] = self.blocks
+        np.einsum('mij,mjk->mik', self.blocks, A.V[self.columns], out=blocks[:, :, d:])
+        return SparseRows(columns, blocks)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
