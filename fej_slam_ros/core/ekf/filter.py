@@ -25,7 +25,7 @@ from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, position_indices, Robot)
-from fej_slam_ros.core.geometry import Array, Indices, perpendicular, rotation
+from fej_slam_ros.core.geometry import Array, Indices, perpendicular
 from fej_slam_ros.core.pieces import EndedError, pause
 from fej_slam_ros.core.records import (
     AnyObservation, LandmarkKey, Motion, PointKey, RendezvousKey, RobotObservation, RobotScan,
@@ -313,7 +313,7 @@ class Filter:
     ) -> tuple[Array, Array, Array]:
         """Return a new point (2,), its Jacobian F (2, 3) by the observer's pose, its noise."""
         x = self.state.pose(robot)
-        C = rotation(x[2])
-        point = x[:2] + C.dot(observation.z)
+        G = models.G(x[2])[:2, :2]
+        point = x[:2] + G.dot(observation.z)
         F = models.F(self.linearization.offset(self.state, robot, key, point))
-        return point, F, C.dot(observation.R).dot(C.T)
+        return point, F, G.dot(observation.R).dot(G.T)
