@@ -59,6 +59,20 @@ def perpendicular(vectors: Array) -> Array:
     return turned
 
 
+def mean_rotation(theta: Array, of: Indices, vectors: Array) -> Array:
+    """
+    Return V(theta) v of vectors (m, 2), where V is the mean of C over the angles from 0 to theta.
+
+    Angles theta (k,) are those of the vectors by their indices `of` (m,).
+
+    """
+    along = np.sinc(theta / np.pi)[of, None]
+    # (1 - cos theta) / theta
+    across = (0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2)[of, None]
+    rotated: Array = along * vectors + across * perpendicular(vectors)
+    return rotated
+
+
 def upper_triangular(upper: Sequence[float] | Array) -> Array:
     """Return the matrix with some numbers, row by row, in its upper triangle and zeros below."""
     size = math.isqrt(2 * len(upper))

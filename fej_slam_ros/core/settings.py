@@ -167,8 +167,7 @@ class EstimatorSettings(CommonSettings):
         ' invariant and 1 for the others')
     compressed: bool = parameter(
         True, FLAG,
-        'steps in a large map update only the submap around the robots, without approximation;'
-        ' no effect for invariant')
+        'steps in a large map update only the submap around the robots, without approximation')
     start_covariance: str = parameter(
         'anchored', one_of('anchored', 'independent'),
         'anchored: poses started at step 0 are correlated with an uncertain anchor; independent:'

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
+from fej_slam_ros.core.ekf.outside_points import StillPoints, TurningPoints
 from fej_slam_ros.core.ekf.state import JointState, position_indices, Variable
 from fej_slam_ros.core.geometry import Indices
 
@@ -30,11 +31,13 @@ class ActiveSubmap:
     ----------
     min_states : size of the joint state from which a submap is used
     landmarks_per_robot : number of nearest landmarks of each robot in the submap
+    are_turned : whether a correction turns points with robots
 
     """
 
     min_states: float
     landmarks_per_robot: int
+    are_turned: bool = False
 
     def ensure_contains(
         self, state: JointState, observed: Indices, may_end: bool = False
@@ -65,7 +68,11 @@ class ActiveSubmap:
         if submap is None:
             whole.updates_without_submap = RETRY_UPDATES
         else:
-            state.covariance = CompressedCovariance(whole, submap)
+            outside = StillPoints() if not self.are_turned else TurningPoints(
+                state.landmark_positions(),
+                [landmark.rotation_owner for landmark in state.landmarks.values()],
+                len(whole.matrix.lower))
+            state.covariance = CompressedCovariance(whole, submap, outside)
 
     def _around_robots(self, state: JointState, observed: Indices) -> Indices | None:
         """

@@ -24,15 +24,17 @@ rest, which is whitened by proxies of its own. Any state may be removed: the pro
 which the states of B follow.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from copy import copy, deepcopy
+from collections.abc import Iterable, Sequence
+from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import (
-    Correction, Covariance, joint_indices, Projection, Slot, SparseRows)
+    Correction, Covariance, joint_indices, Projection, Slot, SparseRows, Transport)
+from fej_slam_ros.core.ekf.outside_points import OutsidePoints, StillPoints
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
-from fej_slam_ros.core.ekf.whitening import pivoted_root, whiten, Whitening
+from fej_slam_ros.core.ekf.whitening import whiten, Whitening
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.pieces import pause, PIECE_ELEMENTS, product, ranges
 
@@ -46,6 +48,9 @@ LEAVING_RATE = 16.0
 MAX_DIRECT = 2e9
 
 
+STILL_POINTS = StillPoints()
+
+
 class CompressedCovariance:
     """
     A joint covariance of which only a submap is propagated and updated.
@@ -57,20 +62,25 @@ class CompressedCovariance:
     ----------
     whole : joint covariance of all states, owned from now on; `leave` returns it
     members : (a,) array, the indices of the submap's states, in order
+    outside : how the errors and estimates outside follow from the proxies
 
     """
 
-    def __init__(self, whole: Covariance, members: Indices) -> None:
+    def __init__(
+        self, whole: Covariance, members: Indices, outside: OutsidePoints = STILL_POINTS
+    ) -> None:
         # States outside are read often from now on.
         whole.matrix.settle()
         self._whole = whole
+        self._outside = outside
         #: covariance of the members and proxies, each group of members before its proxies
         self._core = Covariance()
         self._core_index = np.full(whole.dimension, -1)
         self._members = self._proxies = np.empty(0, np.intp)
         #: C in Fortran order, with zero rows for states and zero columns for proxies to come
         self._C = np.zeros((len(whole.matrix.lower), 0), order='F')
-        self._dg = np.empty(0)
+        #: first variance of the proxies, and their correction, which `transport` has used up
+        self._prior = self._dg = np.empty(0)
         P = whole.matrix.at(members[:, None], members)
         cross = whole.matrix.columns(members)[:whole.dimension]
         self._add_members(members, np.empty((len(members), 0)), P, whiten(P, cross, np.diag(P)))
@@ -118,11 +128,12 @@ class CompressedCovariance:
         """Let states from outside enter; return the estimate (n,) with them."""
         P, core, x_hat = self._whole.matrix, self._core.matrix, x_hat.copy()
         C_l, k = self._combination(states), core.dimension
-        x_hat[states] += C_l @ self._dg
+        x_hat[states] += self._correction(states)
         cross = product(C_l, core.columns(self._proxies)[:k].T)
         C, P_l = self._C[:P.dimension, :len(self._proxies)], P.at(states[:, None], states)
-        rest = P_l - C_l @ C_l.T
-        of_rest = whiten(rest, P.columns(states)[:len(C)] - product(C, C_l.T), np.diag(P_l))
+        first = C_l * self._prior
+        rest = P_l - first @ C_l.T
+        of_rest = whiten(rest, P.columns(states)[:len(C)] - product(C, first.T), np.diag(P_l))
         self._add_members(states, cross, product(cross[:, self._proxies], C_l.T) + rest, of_rest)
         return x_hat
 
@@ -149,10 +160,15 @@ class CompressedCovariance:
         lower[start + b:start + b + g, start:start + b] = of_rest.L.T
         lower[proxies, proxies] = 1.0
         self._core_index[states] = np.arange(start, start + b)
-        self._add_combinations(of_rest.C)
         self._members = np.concatenate([self._members, states])
-        self._proxies = np.concatenate([self._proxies, proxies])
-        self._dg = np.concatenate([self._dg, np.zeros(g)])
+        self._add_proxies(proxies, of_rest.C, np.ones(g))
+
+    def _add_proxies(self, in_core: Indices, C: Array, variances: Array) -> None:
+        """Add proxies of the core with their columns of C and their first variances."""
+        self._add_combinations(C)
+        self._proxies = np.concatenate([self._proxies, in_core])
+        self._dg = np.concatenate([self._dg, np.zeros(len(in_core))])
+        self._prior = np.concatenate([self._prior, variances])
 
     def current_estimates(self, x: Array, indices: Indices) -> Array:
         """Return estimates x of the states `indices`, with C dg added to those of B."""
@@ -183,19 +199,22 @@ class CompressedCovariance:
 
     def variance_bounds(self, indices: Indices) -> Array:
         """Return upper bounds (k,) of the traces of `blocks`: outside, those from the start."""
+        if self._outside.are_turned:
+            traces: Array = np.trace(self.blocks(indices), axis1=1, axis2=2)
+            return traces
         variances, inside = self._whole.matrix.at(indices, indices), ~self._is_outside(indices)
         in_core = self._core_index[indices[inside]]
         variances[inside] = self._core.matrix.at(in_core, in_core)
         bounds: Array = variances.sum(axis=1)
         return bounds
 
-    def insert(self, P: Array) -> Slot:
-        """Add states with covariance P (d, d), independent of all others."""
-        return self._add_member(self._core.insert(P))
-
     def augment(self, parent: Slot, F: Array, N: Array) -> Slot:
         """Add a variable with error F (d, parent size) times its parent's plus noise N (d, d)."""
-        return self._add_member(self._core.augment(self._slot(parent), F, N))
+        in_core = self._core.augment(self._slot(parent), F, N)
+        slot = Slot(self._whole.matrix.append(in_core.size), in_core.size)
+        self._members = np.concatenate([self._members, slot.indices])
+        self._core_index = np.concatenate([self._core_index, in_core.indices])
+        return slot
 
     def remove(self, slots: Sequence[Slot], others: Iterable[Slot]) -> None:
         """Marginalise variables out; `others` are the slots of all others, which move up."""
@@ -206,6 +225,7 @@ class CompressedCovariance:
             np.cumsum(~np.isin(np.arange(n), gone)) - 1
             for n, gone in ((self.dimension, removed), (self._core.dimension, in_core)))
         self._whole.remove(slots, others)
+        self._outside.remove(removed)
         if len(in_core):
             self._core.matrix.remove(in_core)
         rows = removed[removed < len(self._C)]
@@ -251,30 +271,34 @@ class CompressedCovariance:
         P.settle()
         g, capacity = len(self._proxies), len(self._whole.matrix.lower)
         C = self._C[:, :g] if len(self._C) == capacity else _extended(self._C, capacity, g)
-        W = product(self._learnt_root().T, C.T, may_end).T  # 2 n a p, in Fortran order
+        change = self._outside.change(C, self._minus_learnt(), may_end)
         P_gA = P.at(self._proxies[:, None], core)
-        P_A, dx = product(P_gA.T, C.T, may_end).T, C[:n] @ self._dg  # 2 n a (members)
+        P_A, dx = product(P_gA.T, C.T, may_end).T, np.zeros(n)  # 2 n a (members)
+        dx[:len(self._C)] = self._outside.correction(slice(n), self._C[:, :g], self._dg)
         dx[members] = 0.0
         P_A[members] = P.at(core[:, None], core)
         pause()
-        # P_BB - W W^T: p n^2; what it changes elsewhere is replaced.
-        self._whole.matrix.subtract_product(W)
+        change(self._whole.matrix)  # what it changes elsewhere than in P_BB is replaced
         self._whole.matrix.replace_columns(members, P_A)
         return self._whole, x_hat + dx
 
-    def _learnt_root(self) -> Array:
-        """Return a root (g, p) of what was learnt about g, I - cov(g), for g^3 / 3 flops."""
-        learnt = -self._minus_learnt()
-        pause()
-        root, _ = pivoted_root(learnt)
-        pause()
-        return root
+    def transport(self, A: Transport) -> None:
+        """Apply P <- A P A^T to the submap after a correction, and turn the points outside."""
+        core, members = self._core, self._members
+        V = np.zeros((core.dimension, len(A.columns)))
+        V[self._core_index[members]] = A.V[members]
+        core.transport(replace(A, columns=self._core_index[A.columns], V=V))
+        turned = self._outside.turn(self._C[:, :len(self._proxies)] @ self._dg, A)
+        self._dg = np.zeros(len(self._dg))
+        for heading, J_df in turned:
+            copied = core.augment(self._slot(Slot(heading, 1)), np.eye(1), np.zeros((1, 1)))
+            self._add_proxies(copied.indices, J_df, np.zeros(1))
 
     def _minus_learnt(self) -> Array:
-        """Return cov(g) - I."""
-        minus_learnt = self._core.matrix.at(self._proxies[:, None], self._proxies)
-        minus_learnt[np.diag_indices(len(minus_learnt))] -= 1.0
-        return minus_learnt
+        """Return cov(g) less what it was at first."""
+        change = self._core.matrix.at(self._proxies[:, None], self._proxies)
+        change[np.diag_indices(len(change))] -= self._prior
+        return change
 
     def _many_blocks(self, indices: Indices, outside: Flags) -> Array:
         """Return `blocks` of groups that are all outside, by P_BB, or inside."""
@@ -299,7 +323,7 @@ class CompressedCovariance:
     def _pending(self, indices: Indices) -> Array:
         """Return C dg of states outside the submap, and 0 inside."""
         change, outside = np.zeros(indices.shape), self._is_outside(indices)
-        change[outside] = self._combination(indices[outside]) @ self._dg
+        change[outside] = self._correction(indices[outside])
         return change
 
     def _combinations(self, indices: Indices) -> Array:
@@ -310,8 +334,12 @@ class CompressedCovariance:
         rows[np.ix_(outside, self._proxies)] = self._combination(indices[outside])
         return rows
 
+    def _correction(self, outside: Indices) -> Array:
+        """Return the correction of k states outside."""
+        return self._outside.correction(outside, self._C[:, :len(self._proxies)], self._dg)
+
     def _combination(self, outside: Indices) -> Array:
-        """Return C (k, g) of k states outside, in the order of the proxies."""
+        """Return C (k, p) of k states outside, in the order of the proxies."""
         C: Array = self._C[outside, :len(self._proxies)]
         return C
 
@@ -323,10 +351,10 @@ class CompressedCovariance:
         self._C[:len(columns), count:needed] = columns
 
     def _P_core(self) -> Array:
-        """Return the change of P by the core's states: their P, less I of the proxies."""
+        """Return the change of P by the states of the core: their P, less that at first."""
         every = np.arange(self._core.dimension)
         P = self._core.matrix.at(every[:, None], every)
-        P[self._proxies, self._proxies] -= 1.0
+        P[self._proxies, self._proxies] -= self._prior
         return P
 
     def _contains(self, indices: Indices) -> bool:
@@ -340,13 +368,6 @@ class CompressedCovariance:
     def _slot(self, slot: Slot) -> Slot:
         return Slot(int(self._core_index[slot.start]), slot.size)
 
-    def _add_member(self, in_core: Slot) -> Slot:
-        """Return the slot, among all states, of a new variable of the core."""
-        slot = Slot(self._whole.matrix.append(in_core.size), in_core.size)
-        self._members = np.concatenate([self._members, slot.indices])
-        self._core_index = np.concatenate([self._core_index, in_core.indices])
-        return slot
-
 
 def _extended(C: Array, rows: int, columns: int) -> Array:
     """Return C (n, g) in a Fortran array of more rows and other columns, zero beyond C."""
@@ -354,27 +375,3 @@ def _extended(C: Array, rows: int, columns: int) -> Array:
     for part in ranges(min(C.shape[1], columns), PIECE_ELEMENTS / max(rows, 1)):
         extended[:len(C), part] = C[:, part]
     return extended
-
-
-#: The two forms of the joint covariance, with the same methods for the filter's steps.
-JointCovariance = Covariance | CompressedCovariance
-
-
-def reserve(covariance: JointCovariance, sizes: Sequence[int]) -> None:
-    """Provide storage for variables of some sizes that will be added, which changes no bit."""
-    for matrix in covariance.matrices:
-        matrix.reserve(sizes)
-
-
-def lower_rows(covariance: JointCovariance, slots: Sequence[Slot]) -> Iterator[Array]:
-    """Yield the rows of the lower triangle of `marginal`, without making the whole matrix."""
-    indices = joint_indices(slots)
-    if isinstance(covariance, CompressedCovariance):
-        if len(indices) ** 2 * covariance.matrices[-1].dimension <= MAX_DIRECT:
-            for i, row in enumerate(covariance.marginal(slots)):
-                yield row[:i + 1]
-            return
-        covariance, _ = deepcopy(covariance).leave(np.zeros(covariance.dimension))
-    matrix = covariance.matrix.settled()
-    for i, row in enumerate(indices):
-        yield matrix.at(row, indices[:i + 1])

@@ -7,16 +7,15 @@ Costs are in flops for n states and m observations that touch k states. No Jacob
 the state, so an update costs little more than its rank-2m update of one triangle of P, 2 m n^2.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg.blas import dsyr2k
 
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
+from fej_slam_ros.core.ekf.symmetric_matrix import add_products, SymmetricMatrix
 from fej_slam_ros.core.geometry import Array, Indices
 
 
@@ -69,6 +68,9 @@ class Transport:
 
     columns: Indices  #: (k,) array, the states that E selects
     V: Array  #: (n, k) array
+    dx: Array  #: (n,) array, the correction that it follows, headings not wrapped
+    #: function from an owner of points to the index of the heading that they turn with
+    heading_of: Callable[[str], int | None]
 
 
 class Projection(NamedTuple):
@@ -190,7 +192,7 @@ class Covariance:
         V[:self.dimension] = A.V
         # A P A^T = P + V B^T + B V^T with B = P E + 1/2 V E^T P E.
         B = PE + 0.5 * V @ PE[A.columns]
-        dsyr2k(1.0, V, B, beta=1.0, c=self.matrix.lower, lower=1, overwrite_c=1)
+        add_products(self.matrix, V, B)
 
 
 def joint_indices(slots: Sequence[Slot]) -> Indices:

@@ -15,7 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
-from fej_slam_ros.core.ekf.compressed_covariance import reserve
+from fej_slam_ros.core.ekf.joint_covariance import reserve
 from fej_slam_ros.core.ekf.covariance import SparseRows
 from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,

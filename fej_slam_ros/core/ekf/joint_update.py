@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.compressed_covariance import JointCovariance
+from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.pieces import pause, PIECE_FLOPS

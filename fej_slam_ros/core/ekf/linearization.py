@@ -17,7 +17,7 @@ from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, Variable
-from fej_slam_ros.core.geometry import Array, Indices, perpendicular
+from fej_slam_ros.core.geometry import Array, Indices, mean_rotation, perpendicular
 from fej_slam_ros.core.ground_truth import Truth
 from fej_slam_ros.core.records import (
     LandmarkKey, MAX_LINEAR_HEADING_SIGMA, PointKey, RendezvousKey)
@@ -44,7 +44,7 @@ class Linearization:
 
     needs_truth: ClassVar[bool] = False  #: whether it reads ground truth, which needs landmark IDs
     default_iterations: ClassVar[int] = 1  #: Gauss-Newton iterations; 1 is the EKF of the paper
-    supports_submaps: ClassVar[bool] = True  #: whether no state outside the submap is corrected
+    turns_points: ClassVar[bool] = False  #: whether a correction turns points with robots
     #: standard deviation [rad] of a robot's turn by odometry alone up to which it is linearised
     max_turn_sigma: ClassVar[float] = MAX_LINEAR_HEADING_SIGMA
     #: the same where it has to be corrected by observations without IDs, all at once
@@ -253,8 +253,7 @@ class Invariant(Linearization):
 
     #: At high noise NEES/3 is 1.3 with three iterations and 2.4 with one.
     default_iterations = 3
-    #: `retract` moves every landmark that a corrected robot owns.
-    supports_submaps = False
+    turns_points = True
     #: Errors of 1.4 rad are corrected at once; a standard deviation of 1 rad reaches half a turn.
     max_turn_sigma = max_turn_sigma_without_ids = 1.0
 
@@ -272,11 +271,8 @@ class Invariant(Linearization):
 
         """
         positions, owner, headings = state.heading_owners()
-        theta, dp = dx[headings, None], dx[positions]
-        along = np.sinc(theta / np.pi)
-        across = 0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2  # (1 - cos theta) / theta
         turned = dx.copy()
-        turned[positions] = along[owner] * dp + across[owner] * perpendicular(dp)
+        turned[positions] = mean_rotation(dx[headings], owner, dx[positions])
         return super().retract(state, x, turned)
 
     def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
@@ -291,9 +287,9 @@ class Invariant(Linearization):
     def transport(self, state: JointState, x_prior: Array) -> Transport:
         """Return A of equal theta and xi: dp becomes dp + J (p_hat - p_prior) theta."""
         positions, owner, headings = state.heading_owners()
-        V = np.zeros((len(x_prior), len(headings)))
-        V[positions, owner[:, None]] = perpendicular((state.x_hat - x_prior)[positions])
-        return Transport(headings, V)
+        V, dx = np.zeros((len(x_prior), len(headings))), state.x_hat - x_prior
+        V[positions, owner[:, None]] = perpendicular(dx[positions])
+        return Transport(headings, V, dx, state.heading_of)
 
 
 #: Factories of the policies by the value of parameter `filter`, given the ground truth.
@@ -305,4 +301,4 @@ def transport_errors(linearization: Linearization, state: JointState, x_prior: A
     """Transform the covariance of errors at x_prior (n,) to that of errors at x_hat."""
     A = linearization.transport(state, x_prior)
     if A is not None:
-        state.whole().transport(A)
+        state.covariance.transport(A)

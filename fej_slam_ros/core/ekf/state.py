@@ -15,7 +15,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.compressed_covariance import JointCovariance
+from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, joint_indices, Slot
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence, TentativeEvidence
 from fej_slam_ros.core.geometry import Array, Indices
@@ -136,21 +136,26 @@ class VariableSet:
 
         """
         if self._heading_owners is None:
-            first = next(iter(self.robots.values()), None)
             turning: list[Variable] = [*self.robots.values()]
-            owners = [*self.robots.values()]
+            headings_of = self.headings().tolist()
             points: list[tuple[Variable, str]] = [
                 (landmark, landmark.rotation_owner) for landmark in self.landmarks.values()]
             points += [(point, point.owner) for point in self.rendezvous_points.values()]
+            heading_of = {name: self.heading_of(name) for name in {name for _, name in points}}
             for variable, name in points:
-                owner = self.robots.get(name, first) if name else None
-                if owner is not None:
+                heading = heading_of[name]
+                if heading is not None:
                     turning.append(variable)
-                    owners.append(owner)
-            headings, owner_of = np.unique(
-                np.array([owner.slot.start + 2 for owner in owners], np.intp), return_inverse=True)
+                    headings_of.append(heading)
+            headings, owner_of = np.unique(np.array(headings_of, np.intp), return_inverse=True)
             self._heading_owners = position_indices(turning), owner_of, headings
         return self._heading_owners
+
+    def heading_of(self, owner: str) -> int | None:
+        """Return the heading that points of an owner turn with: if it has left, the first one."""
+        first = next(iter(self.robots.values()), None)
+        robot = self.robots.get(owner, first) if owner else None
+        return None if robot is None else robot.slot.start + 2
 
     def set_rotation_owner(self, landmark: Landmark, robot: Robot) -> None:
         """Let a landmark rotate with a robot from now on."""
@@ -239,7 +244,7 @@ class JointState(VariableSet):
 
     def insert_robot(self, name: str, stamp: int, pose: Array, P: Array) -> Robot:
         """Add a robot whose pose has covariance P (3, 3), independent of all other states."""
-        robot = Robot(name, self.covariance.insert(P), stamp)
+        robot = Robot(name, self.whole().insert(P), stamp)
         self._append(robot, pose)
         return robot
 

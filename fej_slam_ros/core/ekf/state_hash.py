@@ -7,7 +7,7 @@ from hashlib import sha256
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.compressed_covariance import lower_rows
+from fej_slam_ros.core.ekf.joint_covariance import lower_rows
 from fej_slam_ros.core.ekf.state import JointState, Variable
 from fej_slam_ros.core.pieces import pause
 

@@ -13,6 +13,7 @@ import math
 from types import MappingProxyType
 
 import numpy as np
+from scipy.linalg.blas import dsyr2k
 
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.geometry import Array, Indices
@@ -214,6 +215,13 @@ class SymmetricMatrix:
             columns[columns >= first] = later[columns[columns >= first] - first]
             self._lower[first:k, part] = self._lower[later[:, None], columns]
         self._lower[k:n] = 0.0
+
+
+def add_products(matrix: SymmetricMatrix, V: Array, B: Array) -> None:
+    """Add V B^T + B V^T of arrays (capacity, k): 2 k n^2 flops."""
+    lower = matrix.lower
+    for part in ranges(V.shape[1], PIECE_FLOPS / max(2 * matrix.dimension ** 2, 1)):
+        dsyr2k(1.0, V[:, part], B[:, part], beta=1.0, c=lower, lower=1, overwrite_c=1)
 
 
 def _grown(dimension: int) -> int:

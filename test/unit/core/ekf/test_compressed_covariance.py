@@ -3,6 +3,7 @@
 """A filter that works in a region has the estimate of one that works on everything."""
 
 from copy import copy
+from dataclasses import replace
 import math
 
 import numpy as np
@@ -10,14 +11,14 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import frame_groups, pieces
-from fej_slam_ros.core.ekf import compressed_covariance
+from fej_slam_ros.core.ekf import compressed_covariance, joint_covariance, joint_update
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
-from fej_slam_ros.core.ekf.compressed_covariance import (
-    CompressedCovariance, LEAVING_RATE, lower_rows)
+from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance, LEAVING_RATE
 from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
-from fej_slam_ros.core.ekf.linearization import FirstEstimates, Standard
+from fej_slam_ros.core.ekf.joint_covariance import lower_rows
+from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
 from fej_slam_ros.core.ekf.state import JointState, state_of_prior_map
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose
@@ -175,19 +176,6 @@ def test_variance_bounds_are_exact_inside_a_submap_and_too_large_outside():
     assert (np.delete(bounds, inside) > np.delete(variances, inside)).all()
 
 
-def test_a_variable_inserted_into_a_submap_is_independent_of_all_others():
-    _, region, slots = whole_and_region(np.random.default_rng(5))
-    P = random_covariance(np.random.default_rng(6), 3)
-
-    slot = region.insert(P)
-
-    assert slot.start == sum(SIZES)
-    assert_array_equal(region.marginal([slot]), P)
-    assert not region.marginal([slot, *slots])[:3, 3:].any()
-    left, _ = region.leave(np.zeros(region.dimension))
-    assert_array_equal(left.marginal([slot]), P)
-
-
 def town(landmarks, steps, seed):
     """Return landmarks, and what two robots measure that drive about and see the next five."""
     rng = np.random.default_rng(seed)
@@ -219,7 +207,9 @@ def run(town, regions, linearization, sigma=(0.1, 0.1, 0.01)):
 
     """
     start, happened = town
-    filter_ = Filter(JointState(), linearization, Gate(0.999), submap=regions)
+    filter_ = Filter(
+        JointState(), linearization, Gate(0.999), iterations=linearization.default_iterations,
+        submap=replace(regions, are_turned=linearization.turns_points))
     for name, pose in start.items():
         filter_.state.insert_robot(name, 0, pose, np.diag(sigma) ** 2)
     entered, last = 0, None
@@ -231,7 +221,7 @@ def run(town, regions, linearization, sigma=(0.1, 0.1, 0.01)):
     return filter_, entered
 
 
-@pytest.mark.parametrize('linearization', [FirstEstimates, Standard])
+@pytest.mark.parametrize('linearization', [FirstEstimates, Standard, Invariant])
 def test_a_filter_with_submaps_equals_the_full_filter_over_two_thousand_steps(linearization):
     scenario = town(landmarks=250, steps=2000, seed=1)
 
@@ -245,6 +235,42 @@ def test_a_filter_with_submaps_equals_the_full_filter_over_two_thousand_steps(li
     assert_array_equal(compressed.state.x_first.shape, whole.state.x_first.shape)
     assert_allclose(
         compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
+
+
+@pytest.mark.parametrize('linearization', [FirstEstimates, Invariant])
+def test_updates_in_blocks_give_the_same_with_submaps_as_with_the_whole_state(
+    monkeypatch, linearization,
+):
+    scenario = town(landmarks=250, steps=300, seed=1)
+    whole, _ = run(scenario, WHOLE_MAP, linearization())
+    for name, count in (('MAX_JOINT', 0), ('MAX_BLOCK', 4), ('MIN_BLOCK', 4)):
+        monkeypatch.setattr(joint_update, f'{name}_OBSERVATIONS', count)
+
+    compressed, entered = run(scenario, ActiveSubmap(100, 10), linearization())
+
+    assert entered
+    variables = whole.state.variables()
+    assert_allclose(compressed.state.estimates(), whole.state.x_hat, atol=1e-10)
+    assert_allclose(
+        compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
+
+
+def test_variance_bounds_hold_outside_a_submap_where_turning_lets_variances_grow():
+    filter_, _ = run(town(250, 300, seed=1), ActiveSubmap(100, 10), Invariant())
+    state = filter_.state
+    positions = state.landmark_positions()
+    before = np.trace(state.covariance.blocks(positions), axis1=1, axis2=2)
+    # An observation that is wrong and vague by as much corrects a lot and teaches little.
+    (key, landmark), *_ = state.landmarks.items()
+    filter_.gate = Gate(1.0)
+    filter_.submap.ensure_contains(state, landmark.slot.indices)
+    filter_.step([], [Scan('r1', 300, (Observation(key[1], np.full(2, 1e5), 1e5 * R),))])
+
+    assert isinstance(state.covariance, CompressedCovariance)
+    traces = np.trace(state.covariance.blocks(positions), axis1=1, axis2=2)
+    assert (traces - before).max() > 1e-3
+    bounds = state.covariance.variance_bounds(positions)
+    assert (bounds >= traces * (1.0 - 1e-12)).all()
 
 
 def test_rounding_is_that_of_the_whole_state_where_all_states_share_a_large_error():
@@ -261,26 +287,28 @@ def test_rounding_is_that_of_the_whole_state_where_all_states_share_a_large_erro
         compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-5)
 
 
-def test_reading_estimates_changes_no_bit():
+@pytest.mark.parametrize('linearization', [FirstEstimates, Invariant])
+def test_reading_estimates_changes_no_bit(linearization):
     scenario = town(landmarks=150, steps=300, seed=2)
     start, happened = scenario
-    asked, _ = run((start, []), ActiveSubmap(100, 10), FirstEstimates())
+    asked, _ = run((start, []), ActiveSubmap(100, 10), linearization())
 
     for motions, scans in happened:
         asked.step(motions, scans)
         asked.state.estimates()
         asked.state.marginal(asked.state.variables())
-    silent, _ = run(scenario, ActiveSubmap(100, 10), FirstEstimates())
+    silent, _ = run(scenario, ActiveSubmap(100, 10), linearization())
 
     assert_array_equal(asked.state.estimates(), silent.state.estimates())
     assert_array_equal(*(
         f.state.marginal(f.state.variables()) for f in (asked, silent)))
 
 
-def test_removed_variables_do_not_end_a_submap_and_change_no_other():
+@pytest.mark.parametrize('linearization', [FirstEstimates, Invariant])
+def test_removed_variables_do_not_end_a_submap_and_change_no_other(linearization):
     start, happened = town(landmarks=300, steps=400, seed=3)
     whole, compressed = (
-        run((start, happened[:300]), regions, FirstEstimates())[0]
+        run((start, happened[:300]), regions, linearization())[0]
         for regions in (WHOLE_MAP, ActiveSubmap(100, 10)))
     submap = compressed.state.covariance
     assert isinstance(submap, CompressedCovariance)
@@ -357,7 +385,7 @@ def same_frames(whole, compressed):
 
 @pytest.mark.parametrize('chosen', [
     {}, {'filter': 'standard'}, {'update_iterations': 2}, {'inflate_rejected_scans': True},
-], ids=str)
+    {'filter': 'invariant'}], ids=str)
 def test_robots_join_and_leave_with_submaps_as_with_the_whole_state(monkeypatch, chosen):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     scenario = town(landmarks=120, steps=500, seed=5)
@@ -370,21 +398,23 @@ def test_robots_join_and_leave_with_submaps_as_with_the_whole_state(monkeypatch,
     same_frames(whole, compressed)
 
 
-def test_a_prior_map_is_updated_in_submaps(monkeypatch):
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_a_prior_map_is_updated_in_submaps(monkeypatch, kind):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     scenario = town(landmarks=400, steps=450, seed=6)
     known = np.random.default_rng(6).uniform(0.0, np.sqrt(20.0 * 400), (400, 2))
     P = random_covariance(np.random.default_rng(7), 800) / 400.0
     prior = PriorMap(tuple(range(400)), known, P)
 
-    compressed, in_regions = coming_and_going(scenario, prior)
-    whole, _ = coming_and_going(scenario, prior, compressed=False)
+    compressed, in_regions = coming_and_going(scenario, prior, filter=kind)
+    whole, _ = coming_and_going(scenario, prior, compressed=False, filter=kind)
 
     assert in_regions > 50
     same_frames(whole, compressed)
 
 
-def test_observations_without_ids_give_the_same_result_with_submaps(monkeypatch):
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_observations_without_ids_give_the_same_result_with_submaps(monkeypatch, kind):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     start, happened = town(landmarks=120, steps=500, seed=9)
     unnumbered = start, [
@@ -393,8 +423,8 @@ def test_observations_without_ids_give_the_same_result_with_submaps(monkeypatch)
             for s in scans])
         for motions, scans in happened]
 
-    compressed, in_regions = coming_and_going(unnumbered)
-    whole, _ = coming_and_going(unnumbered, compressed=False)
+    compressed, in_regions = coming_and_going(unnumbered, filter=kind)
+    whole, _ = coming_and_going(unnumbered, compressed=False, filter=kind)
 
     # Its second robot joins twice, after which all landmarks are in the active submap at first.
     assert in_regions > 50
@@ -452,12 +482,14 @@ def test_a_submap_that_would_be_larger_than_the_joint_state_is_left():
     assert state.covariance is not first
 
 
-def test_a_run_saved_within_a_submap_continues_bit_for_bit(monkeypatch):
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+def test_a_run_saved_within_a_submap_continues_bit_for_bit(monkeypatch, kind):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     start, happened = town(landmarks=150, steps=300, seed=4)
     x1, x2 = (tuple(pose.tolist()) for pose in start.values())
     settings = Settings(
-        (RobotSettings('r1', 1), RobotSettings('r2', 2, x2, (0.1, 0.1, 0.01))), 'r1', x1)
+        (RobotSettings('r1', 1), RobotSettings('r2', 2, x2, (0.1, 0.1, 0.01))), 'r1', x1,
+        filter=kind)
 
     def go(estimator, measured):
         for record in measured:
@@ -480,7 +512,8 @@ def test_of_many_states_the_same_is_computed_from_a_copy(monkeypatch):
     points = np.array([slot.indices[:2] for slot in joint])
 
     few = [*lower_rows(compressed, joint)], compressed.blocks(points)
-    monkeypatch.setattr(compressed_covariance, 'MAX_DIRECT', 0)
+    for module in (compressed_covariance, joint_covariance):
+        monkeypatch.setattr(module, 'MAX_DIRECT', 0)
     many = [*lower_rows(compressed, joint)], compressed.blocks(points)
 
     P = compressed.marginal(joint)

@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 from scipy.linalg import block_diag
 
-from fej_slam_ros.core.ekf.compressed_covariance import lower_rows
 from fej_slam_ros.core.ekf.covariance import (
     Covariance, joint_indices, SparseRows, Transport)
+from fej_slam_ros.core.ekf.joint_covariance import lower_rows
 from helpers.core import dense, random_covariance
 
 #: Sizes of the variables: few, some beyond one growth of the storage, and many growths.
@@ -64,7 +64,7 @@ def random_transport(rng, n):
     """Return a transport by two of n states, sparse and dense."""
     columns, V, A = np.array([2, n - 1]), rng.normal(size=(n, 2)), np.eye(n)
     A[:, columns] += V
-    return Transport(columns, V), A
+    return Transport(columns, V, np.zeros(len(V)), lambda _: None), A
 
 
 def rows_after_a_transport(rng, slots, count):
