@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Definiteness of covariances: positive definite beyond rounding."""
+"""Definiteness of covariances: positive definite beyond rounding, or semi-definite up to it."""
 
 import math
 
@@ -11,6 +11,9 @@ from fej_slam_ros.core.geometry import Array, Flags
 
 #: Smallest eigenvalue of a correlation matrix that counts as regular, well above rounding.
 MIN_CORRELATION_EIGENVALUE = 1e-12
+#: Magnitude of a negative eigenvalue, or of an asymmetry, of the correlation matrix that rounding
+#: to float32 by the sender explains.
+PSD_TOLERANCE = 1e-7
 #: Smallest variance of a velocity [m^2/s^2, rad^2/s^2] that is not exact: a picometre per second.
 #: Products of three, times 1 ns squared, are still far from the smallest float.
 MIN_VELOCITY_VARIANCE = 1e-24
@@ -38,6 +41,13 @@ def is_definite(P: Array) -> bool:
         return False
     correlation = P / scale - MIN_CORRELATION_EIGENVALUE * np.eye(len(P))
     return int(dpotrf(correlation, lower=1)[1]) == 0
+
+
+def is_semidefinite(P: Array) -> bool:
+    """Return whether P (d, d) is positive semi-definite up to `PSD_TOLERANCE`."""
+    variances = P.diagonal()
+    scale = np.where(variances > 0.0, variances, 1.0)
+    return bool(variances.min() >= 0.0) and is_definite(P + PSD_TOLERANCE * np.diag(scale))
 
 
 def has_information(P: Array) -> bool:

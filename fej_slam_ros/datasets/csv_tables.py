@@ -17,6 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from fej_slam_ros.core.definiteness import is_definite, is_semidefinite
 from fej_slam_ros.core.geometry import Array, symmetric
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
@@ -177,7 +178,7 @@ def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
             raise UserError(
                 f'{path}: correct its first line, which lacks the column {column}:'
                 f' {",".join(reader.fieldnames or ())[:80]!r}') from None
-        except (ValueError, csv.Error) as error:
+        except (ValueError, csv.Error, UserError) as error:
             raise UserError(f'{path}: correct line {reader.line_num}: {error}') from None
 
 
@@ -200,7 +201,7 @@ def _from_seconds(text: str) -> int:
 
 def _odometry(cells: Cells) -> Odometry:
     is_known = any(cells.get(name) for name in TWIST)
-    covariance = symmetric(finite_numbers(cells, TWIST)) if is_known else None
+    covariance = _covariance(cells, TWIST, is_semidefinite) if is_known else None
     return Odometry(*_event(cells), np.array(finite_numbers(cells, POSE)), covariance)
 
 
@@ -227,7 +228,7 @@ def _is_empty(cells: Cells, name: str) -> bool:
 def _pose_prior(cells: Cells) -> PosePrior:
     return PosePrior(
         *_event(cells), np.array(finite_numbers(cells, POSE)),
-        symmetric(finite_numbers(cells, POSE_COVARIANCE)))
+        _covariance(cells, POSE_COVARIANCE, is_definite))
 
 
 def _true_pose(cells: Cells) -> TruePose:
@@ -243,8 +244,25 @@ def _point(cells: Cells) -> tuple[Array, Array]:
     """Return an observed position and its covariance, from Cartesian or polar columns."""
     if 'range' in cells:
         return polar(*finite_numbers(cells, POLAR))
-    x, y, *upper = finite_numbers(cells, POINT)
-    return np.array([x, y]), symmetric(upper)
+    z = np.array(finite_numbers(cells, POINT[:2]))
+    return z, _covariance(cells, POINT[2:], _is_definite_or_unknown)
+
+
+def _covariance(
+    cells: Cells, names: Sequence[str], is_valid: Callable[[Array], bool]
+) -> Array:
+    """Return the covariance whose upper triangle is in some columns."""
+    P = symmetric(finite_numbers(cells, names))
+    if not is_valid(P):
+        raise ValueError(
+            f'where {", ".join(names)} are no covariance: variances must be positive, and'
+            ' correlations below 1')
+    return P
+
+
+def _is_definite_or_unknown(R: Array) -> bool:
+    """Return whether the covariance of an observation is valid; zeros are unknown, as in scans."""
+    return not R.any() or is_definite(R)
 
 
 def _scans(

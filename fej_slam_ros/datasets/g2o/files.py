@@ -59,7 +59,7 @@ def read(path: Path, noise: str) -> tuple[Graph, Counter[str]]:
     try:
         for line in lines:
             reader.read(line)
-    except (ValueError, IndexError, np.linalg.LinAlgError) as error:
+    except (ValueError, IndexError, np.linalg.LinAlgError, UserError) as error:
         raise UserError(
             f'{path}: line {reader.lines} is damaged ({error}): {line[:80].strip()!r}; correct or'
             ' remove it') from None
@@ -136,7 +136,7 @@ class _Reader:
     def _relative_pose(self, words: list[str]) -> None:
         numbers = _numbers(words[2:], 9)
         z, information = numbers[:3], symmetric(numbers[3:])
-        if not information[2, :2].any() and information[2, 2] < 2.0 * UNKNOWN_HEADING:
+        if not information[2, :2].any() and 0.0 <= information[2, 2] < 2.0 * UNKNOWN_HEADING:
             turn = rotation(z[2])
             R = turn @ _inverse(information[:2, :2]) @ turn.T
             self._add(self.graph.robot_observations, words, z[:2], R)

@@ -18,6 +18,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     geometry_msgs__msg__Vector3 as Vector3, nav_msgs__msg__Odometry as OdometryMessage,
     tf2_msgs__msg__TFMessage as TFMessage)
 
+from fej_slam_ros.core.definiteness import PSD_TOLERANCE
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Odometry, PosePrior, TruePose
@@ -38,9 +39,6 @@ UNKNOWN_COVARIANCE = [[0.0, 0.0, 0.0]] * 3
 NORM_TOLERANCE = 1e-3
 #: Largest tilt of a robot [rad]; beyond it the planar model does not hold.
 MAX_TILT = 0.2
-#: Magnitude of a negative eigenvalue, or of an asymmetry, of the correlation matrix that rounding
-#: to float32 by the sender explains.
-PSD_TOLERANCE = 1e-7
 
 
 class RejectedError(Exception):

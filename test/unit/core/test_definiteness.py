@@ -5,7 +5,8 @@
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.definiteness import are_definite, has_information, is_definite
+from fej_slam_ros.core.definiteness import (
+    are_definite, has_information, is_definite, is_semidefinite)
 from fej_slam_ros.core.geometry import pose_rotation
 
 
@@ -49,3 +50,12 @@ def test_a_velocity_has_information_if_its_covariance_is_definite_after_any_turn
         # Of a nanosecond.
         Q = 1e-18 * C @ np.diag(variances) @ C.T
         assert not expected or np.linalg.det(Q[:2, :2]) * Q[2, 2] > 0.0
+
+
+@pytest.mark.parametrize(('P', 'expected'), [
+    ([[1.0, 1.0], [1.0, 1.0]], True), ([[1.0, 1.0], [1.0, 1.0 - 5e-8]], True),
+    ([[1.0, 1.00001], [1.00001, 1.0]], False), ([[0.0, 0.0], [0.0, 1.0]], True),
+    ([[0.0, 0.1], [0.1, 1.0]], False), ([[-1e-9, 0.0], [0.0, 1.0]], False),
+    ([[1e-12, 1.0], [1.0, 1e12]], True)])
+def test_a_covariance_may_be_singular_up_to_rounding_in_any_units(P, expected):
+    assert is_semidefinite(np.array(P)) is expected

@@ -15,7 +15,7 @@ from fej_slam_ros.datasets import csv_tables
 from fej_slam_ros.errors import UsageError, UserError
 from helpers.records import odometry, robot_scan, scan, true_pose
 
-P = np.array([[0.1, 1 / 3, 0.0], [1 / 3, 2.0, -0.7], [0.0, -0.7, 1e-9]])
+P = np.array([[0.1, 1 / 3, 0.0], [1 / 3, 2.0, -7e-6], [0.0, -7e-6, 1e-9]])
 ODOMETRY = 'robot,stamp_ns,x,y,yaw\na,1,0,0,0\n'
 
 
@@ -200,6 +200,53 @@ def test_a_folder_without_odometry_is_one_sentence(tmp_path):
         csv_tables.read(tmp_path)
     with pytest.raises(UsageError, match='no folder'):
         csv_tables.read(tmp_path / 'none')
+
+
+HEADS = {name.removesuffix('.csv'): ','.join(head) for name, head in csv_tables.COLUMNS.items()}
+
+
+@pytest.mark.parametrize(('table', 'row', 'names'), [
+    ('odometry', 'a,1,0,0,0,.1,0,0,-.1,0,.1', 'cov_vxvx, cov_vxvy, cov_vxwz, cov_vyvy'),
+    ('odometry', 'a,1,0,0,0,.1,.2,0,.1,0,.1', 'cov_vxvx'),
+    ('odometry', 'a,1,0,0,0,0,.1,0,.1,0,.1', 'cov_vxvx'),
+    ('landmarks', 'a,1,7,1,2,-.1,0,.1', 'var_x, cov_xy, var_y'),
+    ('landmarks', 'a,1,7,1,2,.1,.1,.1', 'var_x'), ('landmarks', 'a,1,7,1,2,.1,0,0', 'var_x'),
+    ('robots', 'a,1,a,1,2,.1,-.2,.1', 'var_x'),
+    ('pose_priors', 'a,1,0,0,0,1,0,0,1,0,-1', 'cov_xx, cov_xy, cov_xyaw, cov_yy'),
+    ('pose_priors', 'a,1,0,0,0,0,0,0,0,0,0', 'cov_xx')])
+def test_a_covariance_that_is_none_is_named_with_its_line(tmp_path, table, row, names):
+    write(tmp_path, **{'odometry': ODOMETRY, table: f'{HEADS[table]}\n{row}\n'})
+
+    with pytest.raises(UserError, match=rf'{table}\.csv: correct line 2: where {names}.* are no '):
+        csv_tables.read(tmp_path)
+
+
+@pytest.mark.parametrize(('sigmas', 'name'), [('-.1,.2', 'sigma_r'), ('.1,-.2', 'sigma_beta')])
+def test_a_negative_standard_deviation_is_named_with_its_line(tmp_path, sigmas, name):
+    folder = write(
+        tmp_path, odometry=ODOMETRY,
+        landmarks=f'robot,stamp_ns,id,range,bearing,sigma_range,sigma_bearing\na,5,1,2,0,{sigmas}')
+
+    with pytest.raises(UserError, match=rf'landmarks\.csv: correct line 2: {name} is -'):
+        csv_tables.read(folder)
+
+
+@pytest.mark.parametrize('block', [
+    # Of wheels that do not slip sideways, and of two velocities from one encoder: rounded.
+    '.1,0,0,0,0,.2', '.01,0,.003333333,0,0,.001111111', '0,0,0,0,0,0'])
+def test_the_covariance_of_a_velocity_may_be_singular(tmp_path, block):
+    record, = csv_tables.read(write(
+        tmp_path, odometry=f'{HEADS["odometry"]}\na,1,0,0,0,{block}\n'))
+
+    upper = record.twist_covariance[np.triu_indices(3)]
+    assert upper.tolist() == [*map(float, block.split(','))]
+
+
+def test_zeros_are_an_unknown_covariance_of_an_observation(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY, landmarks=f'{LANDMARK_HEAD}a,5,1,1,2,0,0,0\n'))
+
+    assert not records[1].observations[0].R.any()
 
 
 def test_a_scan_without_observations_stays_a_scan(tmp_path):
