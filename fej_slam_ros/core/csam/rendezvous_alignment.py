@@ -9,7 +9,7 @@ import numpy as np
 
 from fej_slam_ros.core.csam.agreement import largest_agreement, MAX_COMPARED
 from fej_slam_ros.core.csam.base_node import (
-    align, BaseNode, central, farthest, RendezvousInformation, RendezvousObservations)
+    align, Alignment, BaseNode, central, farthest, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, MIN_PER_OUTLIER, Rendezvous
@@ -20,6 +20,8 @@ from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Returns the information of a map about some of its poses (k,).
 InformationOf = Callable[[JointMap, Indices], RendezvousInformation]
+#: Input of Algorithm 1: the information of two maps, and the observations between them.
+RendezvousEnds = tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]
 #: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
 ALIGNMENT_WINDOW = 50
 
@@ -31,7 +33,7 @@ def alignment_window(measurements: Measurements) -> Measurements:
 
 def rendezvous_between(
     p: JointMap, q: JointMap, measurements: Measurements, information: InformationOf
-) -> tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]:
+) -> RendezvousEnds:
     """Return the input of Algorithm 1 for two maps, with the information of each about poses."""
     ends = [((m.observer, m.pose), (m.observed, m.observed_pose)) for m in measurements]
     (poses_p, rows_p), (poses_q, rows_q) = (
@@ -44,6 +46,28 @@ def rendezvous_between(
         rows_p, rows_q, by_p, np.array([m.z for m in measurements]).reshape(-1, 2),
         np.array([m.R for m in measurements]).reshape(-1, 2, 2))
     return information(p, poses_p), information(q, poses_q), observations
+
+
+def aligned_but_for_outliers(
+    measurements: Measurements, ends_of: Callable[[Measurements], RendezvousEnds], rules: JoinRules
+) -> tuple[Alignment, Measurements] | JoinFailure:
+    """
+    Return the alignment of two maps by observations that fit, and all of them but a few outliers.
+
+    Parameters
+    ----------
+    measurements : the observations, in the order of time
+    ends_of : returns the input of Algorithm 1 for some of them
+    rules : conditions for joining
+
+    """
+    kept = measurements
+    while isinstance(found := _aligned(alignment_window(kept), ends_of, rules), JoinFailure):
+        kept = [m for m in kept if m.key != found.outlier]
+        if found.outlier is None or (
+                len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
+            return found
+    return found, kept
 
 
 class RendezvousAligner:
@@ -72,13 +96,10 @@ class RendezvousAligner:
         self, p: JointMap, q: JointMap, measurements: Measurements
     ) -> tuple[BaseNode, Measurements] | JoinFailure:
         """Return the base node of q in p, and the observations but for a few outliers."""
-        kept = measurements
-        while isinstance(found := self._base_node(p, q, alignment_window(kept)), JoinFailure):
-            kept = [m for m in kept if m.key != found.outlier]
-            if found.outlier is None or (
-                    len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
-                return found
-        return found, kept
+        found = aligned_but_for_outliers(
+            measurements, lambda window: rendezvous_between(p, q, window, self._information_of),
+            self._rules)
+        return found if isinstance(found, JoinFailure) else (found[0].base_node, found[1])
 
     def contradiction(
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous]
@@ -103,29 +124,6 @@ class RendezvousAligner:
         return JoinFailure(
             f'inconsistent ({len(agreeing)} of {len(compared)} rendezvous agree, without it)')
 
-    def _base_node(
-        self, p: JointMap, q: JointMap, window: Measurements
-    ) -> BaseNode | JoinFailure:
-        """Return that of q in p by Algorithm 1, if the observations fit the maps."""
-        try:
-            ends = rendezvous_between(p, q, window, self._information_of)
-        except SingularError as error:
-            return JoinFailure(f'cannot align: {error}')
-        try:
-            aligned = align(*ends)
-        except ConvergenceError as error:
-            row, d2 = farthest(*ends)
-            return JoinFailure(f'cannot align: {error}', outlier=window[row].key, d2=d2)
-        if isinstance(aligned, JoinFailure):
-            return aligned
-        failure = self._rules.inconsistency(aligned.chi_square, aligned.dof)
-        if failure is None:
-            return aligned.base_node
-        worst = int(np.argmax(aligned.d2))
-        if aligned.d2[worst] <= self._rules.limit(2):
-            return failure
-        return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
-
     def _information_of(self, group: JointMap, poses: Indices) -> RendezvousInformation:
         """Return the information of a map, which is factored once for all rendezvous poses."""
         if group not in self._information:
@@ -134,6 +132,30 @@ class RendezvousAligner:
                 if robot in group.robots]
             self._information[group] = group.information([*group.problem.fixed_poses, *kept])
         return group.rendezvous_information(poses, self._information[group])
+
+
+def _aligned(
+    window: Measurements, ends_of: Callable[[Measurements], RendezvousEnds], rules: JoinRules
+) -> Alignment | JoinFailure:
+    """Return the result of Algorithm 1, if the observations fit the maps."""
+    try:
+        ends = ends_of(window)
+    except SingularError as error:
+        return JoinFailure(f'cannot align: {error}')
+    try:
+        aligned = align(*ends)
+    except ConvergenceError as error:
+        row, d2 = farthest(*ends)
+        return JoinFailure(f'cannot align: {error}', outlier=window[row].key, d2=d2)
+    if isinstance(aligned, JoinFailure):
+        return aligned
+    failure = rules.inconsistency(aligned.chi_square, aligned.dof)
+    if failure is None:
+        return aligned
+    worst = int(np.argmax(aligned.d2))
+    if aligned.d2[worst] <= rules.limit(2):
+        return failure
+    return replace(failure, outlier=window[worst].key, d2=float(aligned.d2[worst]))
 
 
 def _relates(rendezvous: Rendezvous, p: JointMap, q: JointMap) -> bool:

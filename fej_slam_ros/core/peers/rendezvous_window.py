@@ -17,11 +17,13 @@ import struct
 import numpy as np
 
 from fej_slam_ros.core.csam.base_node import (
-    align, Alignment, RendezvousInformation, RendezvousObservations)
+    Alignment, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.rendezvous import MAX_RENDEZVOUS_PAUSE
-from fej_slam_ros.core.gauss_newton import ConvergenceError, NoMinimumError
+from fej_slam_ros.core.csam.rendezvous import (
+    MAX_RENDEZVOUS_PAUSE, Measurements, RendezvousMeasurement)
+from fej_slam_ros.core.csam.rendezvous_alignment import aligned_but_for_outliers, RendezvousEnds
+from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.blocks import (
@@ -113,7 +115,7 @@ def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
         return RendezvousResult(
             write(sent), JoinFailure(f'{task.peer} has sent no rendezvous information'),
             stamps[-1], None)
-    alignment = _aligned(sent, theirs)
+    alignment = _aligned(robot.name, sent, theirs)
     newest = max(range(len(theirs.stamps)), key=theirs.stamps.__getitem__)
     pose = None if isinstance(alignment, JoinFailure) else compose(
         alignment.base_node.pose, theirs.information.in_map(newest))
@@ -201,25 +203,29 @@ def _start_stamp(
     return [min(index)] if len(information.poses) > len(stamps) else []
 
 
-def _aligned(own: WindowInformation, theirs: WindowInformation) -> Alignment | JoinFailure:
+def _aligned(
+    robot: str, own: WindowInformation, theirs: WindowInformation
+) -> Alignment | JoinFailure:
     """Return the pose of the map of the other robot in that of this one."""
     row = {stamp: k for k, stamp in enumerate(own.stamps)}
     their_row = {stamp: k for k, stamp in enumerate(theirs.stamps)}
-    observed = sorted(
-        ((scan.stamp, by_own, o) for scans, by_own in ((own.scans, True), (theirs.scans, False))
-         for scan in scans if scan.stamp in row and scan.stamp in their_row
-         for o in scan.observations), key=lambda entry: entry[:2])
-    if not observed:
+    measurements = sorted((
+        RendezvousMeasurement(
+            scan.robot, of_observer[scan.stamp], o.observed, of_observed[scan.stamp], o.z, o.R,
+            scan.stamp)
+        for scans, of_observer, of_observed in (
+            (theirs.scans, their_row, row), (own.scans, row, their_row))
+        for scan in scans if scan.stamp in row and scan.stamp in their_row
+        for o in scan.observations), key=lambda m: m.stamp)
+    if not measurements:
         return JoinFailure('neither robot has a pose at an observation of the other')
-    observations = RendezvousObservations(
-        np.array([row[t] for t, _, _ in observed], np.intp),
-        np.array([their_row[t] for t, _, _ in observed], np.intp),
-        np.array([by_own for _, by_own, _ in observed], np.bool_),
-        np.array([o.z for _, _, o in observed]), np.array([o.R for _, _, o in observed]))
-    try:
-        alignment = align(own.information, theirs.information, observations)
-    except ConvergenceError as error:
-        return JoinFailure(f'cannot align: {error}')
-    if isinstance(alignment, JoinFailure):
-        return alignment
-    return DEFAULT_RULES.inconsistency(alignment.chi_square, alignment.dof) or alignment
+
+    def ends_of(window: Measurements) -> RendezvousEnds:
+        return own.information, theirs.information, RendezvousObservations(
+            np.array([row[m.stamp] for m in window], np.intp),
+            np.array([their_row[m.stamp] for m in window], np.intp),
+            np.array([m.observer == robot for m in window], np.bool_),
+            np.array([m.z for m in window]), np.array([m.R for m in window]))
+
+    found = aligned_but_for_outliers(measurements, ends_of, DEFAULT_RULES)
+    return found if isinstance(found, JoinFailure) else found[0]

@@ -71,6 +71,38 @@ def test_both_robots_are_aligned_after_less_than_ten_kilobytes(experiment):
         of_p.alignment.base_node.pose, inverse(of_q.alignment.base_node.pose), atol=0.05)
 
 
+def with_errors(error, scans):
+    """Return a change of the measurements, by an error [m] of p's observations in some scans."""
+    count = iter(range(1_000_000))
+
+    def changed(record):
+        if record.robot != 'p' or not isinstance(record, RobotScan) or not record.observations:
+            return record
+        shift = np.array(error) if next(count) in scans else np.zeros(2)
+        return replace(record, observations=tuple(
+            replace(o, z=o.z + shift) for o in record.observations))
+
+    return changed
+
+
+# From 5 m on, the iteration does not converge with the wrong one.
+@pytest.mark.parametrize('error', [(2.0, 0.0), (0.0, 5.0), (-20.0, 5.0), (100.0, 0.0)])
+@pytest.mark.parametrize(('scans', 'is_aligned'), [([2], True), ([2, 5], False)])
+def test_one_observation_of_the_sixteen_of_both_robots_may_be_wrong(error, scans, is_aligned):
+    robots, true = met('map_joining', change=with_errors(error, scans))
+    robots['q'].share_rendezvous('p')
+    give(robots, 'q', 'p')
+
+    alignment = robots['p'].share_rendezvous('q').alignment
+
+    assert isinstance(alignment, JoinFailure) != is_aligned
+    if is_aligned:
+        base, P = alignment.base_node.pose, alignment.base_node.P
+        deviation = pose_difference(base, between(true['p'][0], true['q'][0]))
+        # Three sigmas of a pose are 3.8 of a vector of three.
+        assert deviation @ np.linalg.solve(P, deviation) < 3.8**2
+
+
 def test_the_pose_of_the_other_robot_is_where_it_was_last_seen():
     robots, true = met('map_joining')
     robots['q'].share_rendezvous('p')
