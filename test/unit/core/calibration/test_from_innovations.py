@@ -3,6 +3,7 @@
 """Noise scale factors from innovations."""
 
 from dataclasses import replace
+from functools import cache
 import math
 
 import numpy as np
@@ -81,6 +82,49 @@ def test_factors_do_not_depend_on_the_heading_that_robots_need_to_join():
         for sigma in (0.05, 0.1))
 
     assert strict == usual
+
+
+@cache
+def with_faults():
+    """Return records with a wrong scan, and a landmark that is moved then."""
+    records = simulated(2, range=8, loops=2, robot_sigma=[0.2, 0.2])
+    scans = [r for r in records if isinstance(r, Scan) and len(r.observations) > 2]
+    wrong = scans[len(scans) // 2]
+
+    def is_wrong(record, observation):
+        return record is wrong or (observation.id == 20 and record.stamp > wrong.stamp)
+
+    return received(
+        replace(record, observations=tuple(
+            replace(o, z=o.z + 10.0) if is_wrong(record, o) else o for o in record.observations))
+        if isinstance(record, Scan) else record for record in records)
+
+
+@cache
+def usual_factors():
+    return most_likely_scales(team(), with_faults(), ['odometry', 'landmark'])
+
+
+@pytest.mark.parametrize('setting', [
+    {'inflate_rejected_scans': True}, {'moved_landmarks': 'ignore'}, {'join_probability': 0.01}])
+def test_factors_do_not_depend_on_what_the_estimator_does_with_rejected_data(setting):
+    # By any of these, the noise would decide which innovations count.
+    found = most_likely_scales(team(**setting), with_faults(), ['odometry', 'landmark'])
+
+    assert found == usual_factors()
+
+
+def test_factors_are_those_of_the_simulation_if_each_robot_has_landmark_ids_of_its_own():
+    records = [
+        replace(r, observations=tuple(replace(o, id=31 - o.id) for o in r.observations))
+        if isinstance(r, Scan) and r.robot == 'r2' else r
+        for r in simulated(1, robot_sigma=[0.2, 0.2])]
+
+    found = most_likely_scales(
+        team(shared_landmark_ids=False), received(records), ['odometry', 'landmark', 'robot'])
+
+    # Robots that do not join have no innovations of each other.
+    assert all(scale.is_known() and error(scale, 1.0) < 4.0 for scale in found.values())
 
 
 def test_without_observations_the_factors_are_not_known():
