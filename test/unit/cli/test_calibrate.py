@@ -86,6 +86,20 @@ def test_factors_are_found_from_landmarks_without_ids(calibrate):
         assert abs(float(nis) - 1.0) < 2 * 0.16
 
 
+def test_observations_without_ids_are_matched_again_with_the_noise_that_was_found(
+    calibrate, places,
+):
+    """With the stated noise, most of them miss their landmarks."""
+    simulated = simulation.parse({
+        'loops': 1, 'rate': 1, 'landmarks': 30, 'seed': 3, 'landmark_sigma': [0.03, 0.03]})
+    records = without_ids(claiming(simulated.records(), {Odometry: 0.4, Scan: 0.5}))
+
+    calibrate(records, '--from', 'innovations')
+
+    # The first matches give 1.4, and no factor of observations.
+    assert scales(places[2]) == pytest.approx((2.5, 2.0), rel=0.25)
+
+
 def test_the_filter_is_consistent_after_calibration(calibrate):
     _, printed, _ = calibrate(RECORDS)
 
