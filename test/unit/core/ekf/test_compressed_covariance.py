@@ -273,11 +273,12 @@ def test_variance_bounds_hold_outside_a_submap_where_turning_lets_variances_grow
     assert (bounds >= traces * (1.0 - 1e-12)).all()
 
 
-def test_rounding_is_that_of_the_whole_state_where_all_states_share_a_large_error():
+@pytest.mark.parametrize('linearization', [FirstEstimates, Invariant])
+def test_rounding_is_that_of_the_whole_state_where_all_states_share_a_large_error(linearization):
     scenario, sigma = town(landmarks=250, steps=1000, seed=1), (300.0, 300.0, 0.2)
 
-    whole, _ = run(scenario, WHOLE_MAP, FirstEstimates(), sigma)
-    compressed, entered = run(scenario, ActiveSubmap(200, 15), FirstEstimates(), sigma)
+    whole, _ = run(scenario, WHOLE_MAP, linearization(), sigma)
+    compressed, entered = run(scenario, ActiveSubmap(200, 15), linearization(), sigma)
 
     assert entered > 10
     variables = whole.state.variables()
