@@ -28,6 +28,7 @@ from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.csam.shared_landmarks import (
     align_by_landmarks, contradicting_landmarks, LandmarkAlignment, variance_factor)
 from fej_slam_ros.core.gauss_newton import NoMinimumError
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import LandmarkKey
 
@@ -169,7 +170,7 @@ class _MapMerger:
         with fewer observations of them.
 
         """
-        joined = self._solve(merged(p, q, aligned.base_node), [p, q], [])
+        joined = self._joined(p, q, aligned.base_node)
         if not isinstance(joined, JoinFailure):
             return joined
         d2 = contradicting_landmarks(p, q, self._rules)
@@ -184,7 +185,7 @@ class _MapMerger:
         without = align_by_landmarks(p, q, self._rules.min_shared)
         if isinstance(without, JoinFailure):
             return joined
-        again = self._solve(merged(p, q, without.base_node), [p, q], [])
+        again = self._joined(p, q, without.base_node)
         if not isinstance(again, JoinFailure):
             for robot, outliers in (outliers_p | outliers_q).items():
                 self.landmark_outliers[robot] += outliers
@@ -198,22 +199,21 @@ class _MapMerger:
         if isinstance(aligned, JoinFailure):
             return aligned
         base_node, kept = aligned
-        joined = self._solve(merged(p, q, base_node.pose), [p, q], kept)
+        joined = self._joined(p, q, base_node.pose, kept)
         if len(kept) < len(rendezvous.measurements) and not isinstance(joined, JoinFailure):
             self.outliers.append(outlier_report(rendezvous, len(kept)))
         return joined
 
-    def _solve(
-        self, joint: JointMap, parts: Sequence[JointMap], measurements: Measurements
+    def _joined(
+        self, p: JointMap, q: JointMap, base_node: Array, measurements: Measurements = ()
     ) -> JointMap | JoinFailure:
-        """Return the minimum of eq. (21) with further observations, if these fit the parts."""
+        """Return the minimum of eq. (21), from a base node (3,), if all measurements fit."""
         try:
-            solved = with_measurements(joint, measurements).solved()
+            joint = with_measurements(merged(p, q, base_node), measurements).solved()
         except NoMinimumError as error:
             return JoinFailure(f'cannot align: {error}')
-        increase = solved.chi_square - sum(part.chi_square for part in parts)
-        dof = solved.dof - sum(part.dof for part in parts)
-        return self._rules.inconsistency(increase, dof) or solved
+        increase = joint.chi_square - (p.chi_square + q.chi_square)
+        return self._rules.inconsistency(increase, joint.dof - p.dof - q.dof) or joint
 
 
 def _observations_of(joint: JointMap, keys: Mapping[LandmarkKey, float]) -> Counter[LandmarkKey]:
