@@ -15,7 +15,7 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.exchange import ExchangeSettings, PeerExchange
-from fej_slam_ros.core.peers.logs import Block, LogName
+from fej_slam_ros.core.peers.logs import Block
 from fej_slam_ros.core.peers.messages import MessageRejectedError
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import (
@@ -31,13 +31,12 @@ from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
 from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_reports import PeerDiagnostics, PeerLog
+from fej_slam_ros.ros.session.rendezvous_schedule import RendezvousSchedule
 from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs, TEAM_TYPES
 from fej_slam_ros.ros.session.smoother_session import FAILURE_PAUSE, SmootherSession, Solving
 
 EXCHANGE_TOPIC = '/exchange'
 EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
-#: Shortest time between two computations of a rendezvous by further own observations [ns].
-RENDEZVOUS_PERIOD = NS
 #: Number of new poses that a block of another robot counts as, for the decision to solve.
 BLOCK_POSES = 10
 
@@ -124,10 +123,8 @@ class PeerSession(SmootherSession):
         self.outputs = PeerOutputs(self.team, self.inputs, node)
         self.diagnostics = PeerDiagnostics(self.team, self.inputs, node, self._exchange)
         self.log = PeerLog(self.team, self.inputs, self._exchange)
-        # What was known of the rendezvous with each robot, and when its computation ended, or when
-        # the pause after one that failed ends; a computation of one is followed by a solution, if
-        # there is anything new to solve.
-        self._last_rendezvous: dict[str, tuple[int, tuple[int, int, int]]] = {}
+        self._rendezvous = RendezvousSchedule(self.team, self._exchange)
+        # A rendezvous is followed by a solution, if there is anything new to solve.
         self._is_after_rendezvous = False
         self._store()
 
@@ -169,16 +166,17 @@ class PeerSession(SmootherSession):
 
     def is_solution_due(self, new_poses: int) -> bool:
         """Return whether a rendezvous or the solution of all that is known is to be computed."""
-        return self._due_rendezvous() is not None or super().is_solution_due(new_poses)
+        return (
+            self._rendezvous.due(monotonic_ns()) is not None or super().is_solution_due(new_poses))
 
     def solving(self) -> Solving:
         """Return what computes the next rendezvous, else the solution of all that is known."""
-        peer = self._due_rendezvous()
+        peer = self._rendezvous.due(monotonic_ns())
         if peer is None or (self._is_after_rendezvous and super().is_solution_due(1)):
             self._is_after_rendezvous = False
             return smoothed_union, self.team.union_task()
         self._is_after_rendezvous = True
-        self._last_rendezvous[peer] = monotonic_ns(), self._known_of(peer)
+        self._rendezvous.begin(peer, monotonic_ns())
         return _solved_rendezvous, rendezvous_task(self.team.logs, self.settings.estimation, peer)
 
     def final_solving(self) -> Solving:
@@ -191,8 +189,7 @@ class PeerSession(SmootherSession):
             yield from self._adopted()
             return
         peer, result = solution
-        _, known = self._last_rendezvous[peer]
-        self._last_rendezvous[peer] = monotonic_ns(), known
+        self._rendezvous.end(peer, monotonic_ns())
         if result is not None:
             self.team.adopt_rendezvous(peer, result)
             self.log.add_rendezvous(peer, result)
@@ -207,8 +204,7 @@ class PeerSession(SmootherSession):
         if not isinstance(task, RendezvousTask):
             self._report_unsolved(task.logs, error)
             return
-        _, known = self._last_rendezvous[task.peer]
-        self._last_rendezvous[task.peer] = monotonic_ns() + FAILURE_PAUSE, known
+        self._rendezvous.end(task.peer, monotonic_ns() + FAILURE_PAUSE)
         self.team.rendezvous_results[task.peer] = RendezvousResult(
             b'', JoinFailure(error), 0, None)
         self.log.add_failed_rendezvous(task.peer, error)
@@ -257,28 +253,6 @@ class PeerSession(SmootherSession):
             self._exchange.held_back = {
                 (block.log, block.run, block.number) for block in self._file.waiting
                 if block.log.author == self.team.robot}
-
-    def _due_rendezvous(self) -> str | None:
-        """Return a robot in reach that has not joined, if more of its rendezvous is known."""
-        now = monotonic_ns()
-        for peer in self._exchange.in_reach(now):
-            if self.team.solution.has_joined([self.team.robot, peer]):
-                continue
-            at, before = self._last_rendezvous.get(peer, (-RENDEZVOUS_PERIOD, (0, 0, 0)))
-            if now < at:
-                # Its last computation has failed.
-                continue
-            known = self._known_of(peer)
-            # A run of the other's information comes once; its blocks and own observations go on.
-            if known[1] != before[1] or (known != before and now - at >= RENDEZVOUS_PERIOD):
-                return peer
-        return None
-
-    def _known_of(self, peer: str) -> tuple[int, int, int]:
-        """Return the number of observations of a robot, and run and size of its information."""
-        log = self.team.logs.logs.get(LogName(peer, self.team.robot))
-        run, size = (0, 0) if log is None else (log.run, len(log.blocks))
-        return self.team.observed[peer], run, size
 
 
 def _solved_rendezvous(task: RendezvousTask) -> tuple[str, RendezvousResult | None]:
