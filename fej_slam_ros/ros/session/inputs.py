@@ -5,7 +5,6 @@
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -96,7 +95,7 @@ class Inputs:
         self.clock_offsets = ClockOffsets()
         self.time_jump_detector = TimeJumpDetector(consumer, settings.on_time_jump == 'reset')
         self.frames = FrameNames(consumer, settings)
-        self._mounts = SensorMounts()
+        self._mounts = SensorMounts(self.frames)
         self.health = InputHealth(consumer)
         self.on_odometry: Callable[[Odometry, Message], None] = lambda record, message: None
         self.initialpose_robot = ''
@@ -280,9 +279,7 @@ class Inputs:
         of_sensor = (robot.sensor_frame or '').lstrip('/')
         if frame == of_sensor or self.frames.is_base(robot.name, frame):
             return robot
-        pose = self._mounts.pose(
-            map(_relative, self.frames.static_topics(robot.name)), frame,
-            partial(self.frames.is_base, robot.name))
+        pose = self._mounts.pose(robot.name, frame)
         if pose is not None:
             return replace(robot, sensor_pose=incoming.planar_mount(pose))
         # Before the first odometry, its child frame is unknown.
@@ -322,14 +319,14 @@ class Inputs:
             self._reject('', from_time(cloud.header.stamp), rejected.reason)
 
     def _uses_static(self, topic: str) -> bool:
-        return _relative(topic) in map(_relative, self.static_topics)
+        return topic.lstrip('/') in {name.lstrip('/') for name in self.static_topics}
 
     def _receive_mounts(self, arrived: RawMessage) -> None:
         message = self._decoded('', arrived, TF_TYPE)
         if message is None:
             return
         transforms, rejected = incoming.static_transforms(message)
-        self._mounts.add(_relative(arrived.topic), transforms)
+        self._mounts.add(arrived.topic, transforms)
         for reason in rejected:
             self._reject('', arrived.received or 0, reason)
 
@@ -348,7 +345,3 @@ def _arrived(message: Message, robot: str, received: int | None) -> ArrivedOdome
 def _bytes(message: Message) -> Any:
     """Return a message as an array for a checkpoint."""
     return np.frombuffer(serialize(message), np.uint8)
-
-
-def _relative(topic: str) -> str:
-    return topic.lstrip('/')

@@ -36,24 +36,22 @@ class SensorFrames:
     def __init__(self, robots: Mapping[str, RobotSettings], tf_topics: str) -> None:
         self.robots = robots
         self._names = FrameNames(self, NodeSettings(tf_topics=tf_topics))
-        self._mounts = SensorMounts()
-        self._topics = {
-            name: [topic.lstrip('/') for topic in self._names.static_topics(name)]
-            for name in robots}
-        self.topics = {topic: TF_TYPE for topics in self._topics.values() for topic in topics}
+        self._mounts = SensorMounts(self._names)
+        self.topics = {
+            topic.lstrip('/'): TF_TYPE
+            for name in robots for topic in self._names.static_topics(name)}
         self.rejected: Counter[str] = Counter()
 
     def receive(self, arrived: RawMessage) -> bool:
         """Add the static transforms of a message; return whether it is one of them."""
-        topic = arrived.topic.lstrip('/')
-        if topic.rpartition('/')[2] != STATIC_TF:
+        if arrived.topic.rpartition('/')[2] != STATIC_TF:
             return False
         message = decoded_as(arrived, TF_TYPE)
         if message is None:
             self.rejected['bad_message'] += 1
             return True
         transforms, rejected = incoming.static_transforms(message)
-        self._mounts.add(topic, transforms)
+        self._mounts.add(arrived.topic, transforms)
         self.rejected.update(reason.value for reason in rejected)
         return True
 
@@ -79,7 +77,4 @@ class SensorFrames:
 
     def pose(self, robot: str, frame: str) -> Array | None:
         """Return the transform (4, 4) of a frame to the base frame of a robot, None if unknown."""
-        if self.is_base(robot, frame):
-            return np.eye(4)
-        return self._mounts.pose(
-            self._topics[robot], frame, lambda other: self.is_base(robot, other))
+        return np.eye(4) if self.is_base(robot, frame) else self._mounts.pose(robot, frame)

@@ -3,12 +3,14 @@
 """Poses of sensors on their robots, from static transforms."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.ros.messages.incoming import StaticTransform
+from fej_slam_ros.ros.session.frames import FrameNames
 
 #: Maximum number of frames stored per topic; the description of a robot has fewer than 200 links.
 MAX_STATIC_FRAMES = 10_000
@@ -17,24 +19,32 @@ MAX_LINKS = 100
 
 
 class SensorMounts:
-    """Static transforms of each topic, as parent and pose (4, 4) by child frame."""
+    """
+    Poses of the sensors of a team.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    names : base frames of the robots, and topics of their static transforms
+
+    """
+
+    def __init__(self, names: FrameNames) -> None:
+        self._names = names
+        # Static transforms of each topic, as parent and pose (4, 4) by child frame.
         self._links: dict[str, dict[str, tuple[str, Array]]] = {}
 
     def add(self, topic: str, transforms: Iterable[StaticTransform]) -> None:
         """Store transforms; a newer one of the same child frame replaces the older."""
-        links = self._links.setdefault(topic, {})
+        links = self._links.setdefault(topic.lstrip('/'), {})
         for transform in transforms:
             if transform.child in links or len(links) < MAX_STATIC_FRAMES:
                 links[transform.child] = transform.parent, transform.pose
 
-    def pose(
-        self, topics: Iterable[str], frame: str, is_base: Callable[[str], bool]
-    ) -> Array | None:
-        """Return the transform (4, 4) of a frame to a base frame, None if there is none."""
-        for topic in topics:
-            pose = _pose(self._links.get(topic, {}), frame, is_base)
+    def pose(self, robot: str, frame: str) -> Array | None:
+        """Return the transform (4, 4) of a frame to the base frame of a robot, None if unknown."""
+        for topic in self._names.static_topics(robot):
+            links = self._links.get(topic.lstrip('/'), {})
+            pose = _pose(links, frame, partial(self._names.is_base, robot))
             if pose is not None:
                 return pose
         return None
