@@ -9,10 +9,9 @@ They are those that the node adapter publishes, bit for bit.
 import argparse
 from collections.abc import Mapping
 from contextlib import closing
+from functools import partial
 
-from fej_slam_ros.cli.front_end_run import add_copy_arguments, check_output, write_copy
-from fej_slam_ros.cli.topic_options import names_in
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.cli.front_end_run import add_copy_arguments, write_copy
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.front_end_topics import formats_in
 from fej_slam_ros.ros.files.landmark_ids import IdsFile
@@ -32,31 +31,27 @@ def run(arguments: argparse.Namespace) -> int:
     settings = load_adapter(arguments.params)
     with closing(IdsFile(settings.ids_file)) as ids:
         session = AdapterSession(settings, ids.ids, ids.save)
-        names = names_in(arguments, arguments.bag)
-        topics = bags.topics(arguments.bag, names)
-        check_output(arguments, session, topics)
-        _check(arguments, session, settings, topics)
-        write_copy(arguments, session, topics, names)
+        write_copy(arguments, session, partial(_unusable, session, settings))
     return 0
 
 
-def _check(
-    arguments: argparse.Namespace, session: AdapterSession, settings: AdapterSettings,
-    topics: Mapping[str, bags.BagTopic],
-) -> None:
-    """Raise UserError if the bag has no messages that can be read."""
+def _unusable(
+    session: AdapterSession, settings: AdapterSettings, topics: Mapping[str, bags.BagTopic]
+) -> str:
+    """Return what a bag has without messages that can be read, and the cure."""
     if not any(topic in topics for topic in session.object_topics):
-        raise UserError(f'{arguments.bag} has {_missing(settings, topics)}')
+        return _missing(settings, topics)
     types = {used.type_name for used in settings.object_formats()}
     for name in session.object_topics:
         if name in topics and topics[name].type_name != session.topics[name]:
-            raise UserError(
-                f'{arguments.bag} has {name} of the type {topics[name].type_name}, the parameter'
-                f' formats needs {session.topics[name]}: choose other formats')
+            return (
+                f'{name} of the type {topics[name].type_name}, the parameter formats needs'
+                f' {session.topics[name]}: choose other formats')
         if name in topics and topics[name].type_name in types and not topics[name].is_known:
-            raise UserError(
-                f'{arguments.bag} has {topics[name].type_name} of another release than ROS 2'
-                ' Jazzy, which cannot be read: record it with the packages of Jazzy')
+            return (
+                f'{topics[name].type_name} of another release than ROS 2 Jazzy, which cannot be'
+                ' read: record it with the packages of Jazzy')
+    return ''
 
 
 def _missing(settings: AdapterSettings, topics: Mapping[str, bags.BagTopic]) -> str:

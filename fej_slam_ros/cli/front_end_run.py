@@ -3,15 +3,14 @@
 """Copies of bags with the landmarks that a front end adds."""
 
 import argparse
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, add_storage, parameter_help
-from fej_slam_ros.cli.topic_options import add_topic_names
+from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.session.front_end import FrontEnd
 from fej_slam_ros.ros.session.outputs import Publication
 
@@ -29,24 +28,21 @@ def add_copy_arguments(
     parser.epilog = parameter_help(parameters)
 
 
-def check_output(
-    arguments: argparse.Namespace, front_end: FrontEnd, topics: Mapping[str, bags.BagTopic]
-) -> None:
-    """Raise UserError if the copy is the bag itself, or if the bag has landmarks already."""
-    if arguments.output.resolve() == arguments.bag.resolve():
-        raise UsageError(f'{arguments.output} is the bag to read: choose another output')
-    present = [topic for topic in front_end.outputs if topic in topics and '/' in topic[1:]]
-    if present:
-        raise UserError(
-            f'{arguments.bag} has {", ".join(present)} already: give a bag without landmarks, or'
-            ' rename these topics with --remap')
-
-
 def write_copy(
-    arguments: argparse.Namespace, front_end: FrontEnd, topics: Mapping[str, bags.BagTopic],
-    names: TopicNames,
+    arguments: argparse.Namespace, front_end: FrontEnd,
+    unusable: Callable[[Mapping[str, bags.BagTopic]], str],
 ) -> None:
-    """Write the bag and print what was found and what was rejected."""
+    """
+    Write the bag and print what was found and what was rejected.
+
+    `unusable` returns what the topics have instead of input of the front end, '' if they have it.
+
+    """
+    names = names_in(arguments, arguments.bag)
+    topics = bags.topics(arguments.bag, names)
+    _check_output(arguments, front_end, topics)
+    if found := unusable(topics):
+        raise UserError(f'{arguments.bag} has {found}')
     with bags.BagWriter(arguments.output, arguments.storage, arguments.force) as bag:
         now = 0
         for message in bags.read_with_bar(arguments.bag, names, topics):
@@ -63,6 +59,19 @@ def write_copy(
     if unknown:
         print(f'not copied, of unknown types: {", ".join(unknown)}')
     print(f'wrote {arguments.output}')
+
+
+def _check_output(
+    arguments: argparse.Namespace, front_end: FrontEnd, topics: Mapping[str, bags.BagTopic]
+) -> None:
+    """Raise UserError if the copy is the bag itself, or if the bag has landmarks already."""
+    if arguments.output.resolve() == arguments.bag.resolve():
+        raise UsageError(f'{arguments.output} is the bag to read: choose another output')
+    present = [topic for topic in front_end.outputs if topic in topics and '/' in topic[1:]]
+    if present:
+        raise UserError(
+            f'{arguments.bag} has {", ".join(present)} already: give a bag without landmarks, or'
+            ' rename these topics with --remap')
 
 
 def _write(bag: bags.BagWriter, now: int, publications: Iterable[Publication]) -> None:
