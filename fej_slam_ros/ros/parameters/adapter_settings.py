@@ -84,6 +84,12 @@ class AdapterSettings:
     #: parameters of each robot, in the order of `robots`
     of_robots: tuple[SensedRobotSettings, ...] = ()
 
+    def ids(self) -> dict[str, int]:
+        """Return the ID of each robot by its name; that of one without is its position."""
+        return {
+            name: k if of_robot.id is None else of_robot.id
+            for k, (name, of_robot) in enumerate(zip(self.robots, self.of_robots), start=1)}
+
     def noise(self) -> ObjectNoise:
         """Return the standard deviations of positions."""
         return ObjectNoise(
@@ -128,10 +134,7 @@ def _check(settings: AdapterSettings) -> None:
             raise UsageError(
                 f"parameter 'formats' has {name!r} and another format of <robot>/{topic}: give"
                 ' only one of them')
-    ids = {
-        k if of_robot.id is None else of_robot.id
-        for k, of_robot in enumerate(settings.of_robots, start=1)}
-    if len(ids) < len(settings.robots):
+    if len({*settings.ids().values()}) < len(settings.robots):
         raise UsageError("parameters '<robot>.id' are the same for two robots: give each its own")
     owners: dict[str, str] = {}
     for robot, robot_settings in zip(settings.robots, settings.of_robots):

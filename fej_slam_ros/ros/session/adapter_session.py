@@ -66,9 +66,8 @@ class AdapterSession:
         self._carriers = {
             tag: name for name, of_robot in of_robots.items() for tag in of_robot.tags}
         self.robots = {
-            name: RobotSettings(
-                name, k if of_robot.id is None else of_robot.id, base_frame=of_robot.base_frame)
-            for k, (name, of_robot) in enumerate(of_robots.items(), start=1)}
+            name: RobotSettings(name, id_, base_frame=of_robots[name].base_frame)
+            for name, id_ in settings.ids().items()}
         self._ids = LandmarkIds(ids)
         # Number of names with and without ID when they were published last, and the stamp [ns].
         self._published_ids, self._ids_stamp = (0, 0), -NS
