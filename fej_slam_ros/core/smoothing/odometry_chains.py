@@ -97,7 +97,7 @@ class OdometryChains:
         """Return the number of factors (c,) of each chain."""
         return np.diff(np.append(self.firsts, len(self.rows)))
 
-    def parts(self) -> 'Iterator[PartOfChains]':
+    def parts(self) -> Iterator[PartOfChains]:
         """Yield all chains, some at a time."""
         lengths = self.lengths
         groups = self.firsts // MAX_PART
@@ -168,7 +168,7 @@ class ChainedIncrements:
         return ReducedChains(chains, Phi_all(poses[b, :2] - poses[a, :2]), to_end, rho, S, cost)
 
     def _linearized(
-        self, poses: Array, part: 'PartOfChains'
+        self, poses: Array, part: PartOfChains
     ) -> tuple[Array, Array, Array, float]:
         """Return `to_end`, `rho`, `S` and `cost` of `ReducedChains` for whole chains."""
         begins, ends = self.chains.begins[part.rows], self.chains.ends[part.rows]

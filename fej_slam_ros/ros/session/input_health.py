@@ -4,7 +4,7 @@
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.consumer import Consumer
@@ -215,15 +215,11 @@ class InputHealth:
 
     def remove_robot(self, robot: str) -> None:
         """Delete the state of a robot that was removed."""
-        self._flows.pop(robot, None)
-        self.robots.pop(robot, None)
-        self.newest.pop(robot, None)
-        self.pose_priors.pop(robot, None)
-        self.unmoved.pop(robot, None)
-        self.exact.pop(robot, None)
-        self._poses.pop(robot, None)
-        for lags in (self._lags, *self._past_lags):
-            del lags[robot]
+        by_robot: list[dict[str, Any]] = [
+            self._flows, self.robots, self.newest, self.pose_priors, self.unmoved, self.exact,
+            self._poses, self._lags, *self._past_lags]
+        for values in by_robot:
+            values.pop(robot, None)
 
     def sample(self, now: int) -> None:
         """Add the present counts at the time [ns] of a report."""
