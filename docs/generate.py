@@ -18,7 +18,7 @@ from fej_slam_ros.core.parameter_kinds import Kind, Parameter
 from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.messages import Message, outgoing, serialize
-from fej_slam_ros.ros.messages.cloud import FORMATS, make_cloud
+from fej_slam_ros.ros.messages.cloud import DATATYPES, make_cloud
 from fej_slam_ros.ros.nodes.qos import input_qos, output_qos
 from fej_slam_ros.ros.parameters import (
     adapter_settings, declared_parameters, detector_settings, ESTIMATOR, known_parameters,
@@ -439,7 +439,7 @@ def _service_rows() -> Iterator[Sequence[str]]:
 
 def _fields(cloud: Message) -> str:
     rows = [
-        (f'`{field.name}`', FIELD_TYPES[FORMATS[field.datatype]], str(field.offset))
+        (f'`{field.name}`', FIELD_TYPES[DATATYPES[field.datatype]], str(field.offset))
         for field in cloud.fields]
     return _table(('field', 'type', 'offset'), rows)
 

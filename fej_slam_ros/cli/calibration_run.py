@@ -33,7 +33,7 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 #: Maximum number of times that observations without IDs are matched, and the change of the
 #: logarithm of a factor below which they are not matched again.
-MAX_ROUNDS, MAX_CHANGE = 8, 0.05
+MAX_MATCHINGS, MAX_LOG_CHANGE = 8, 0.05
 
 #: Sources of scales: without ground truth, innovations over some seconds and, of what these do not
 #: determine, single ones.
@@ -76,14 +76,14 @@ def calibrated(
     if not are_without_ids(records):
         return _calibrated_by(arguments, values, MatchedRecords(records))
     settings, scales = parsed(values), dict[str, float]()
-    for _ in range(MAX_ROUNDS):
+    for _ in range(MAX_MATCHINGS):
         with tqdm(desc='match', unit='step', disable=None) as bar:
             matched = with_matched_ids(
                 settings.estimation, records, prior_map(settings), bar.update)
         found = _calibrated_by(arguments, values, matched)
         before, scales = scales, found.scales()
         if before.keys() == scales.keys() and all(
-                abs(math.log(scales[kind] / before[kind])) < MAX_CHANGE for kind in scales):
+                abs(math.log(scales[kind] / before[kind])) < MAX_LOG_CHANGE for kind in scales):
             break
         settings = parsed(found.values)
     return found

@@ -36,7 +36,7 @@ ALIGNMENT_TOLERANCE = 1e-8
 #: Maximum number of steps; ten are enough from a good start.
 MAX_ALIGNMENT_ITERATIONS = 30
 #: Minimum number of observations that determine a base node.
-MIN_OBSERVATIONS = 2
+MIN_ALIGNMENT_OBSERVATIONS = 2
 #: Smallest ratio of diagonal entries of R_sqrt; below it an entry is a rounded zero.
 MIN_DIAGONAL_RATIO = 1e-13
 
@@ -129,9 +129,9 @@ def align(
         If there is no minimum, as beside an observation that is far off, see `farthest`.
 
     """
-    if len(observations.z) < MIN_OBSERVATIONS:
+    if len(observations.z) < MIN_ALIGNMENT_OBSERVATIONS:
         return JoinFailure(
-            f'not enough observations: 1 of the {MIN_OBSERVATIONS} that are needed')
+            f'not enough observations: 1 of the {MIN_ALIGNMENT_OBSERVATIONS} that are needed')
     algorithm = _Algorithm1(p, q, observations)
     starts = [*algorithm.starts()]
     if not starts:
@@ -248,7 +248,7 @@ class _Algorithm1:
         # observation; n alone is small where the maps give way to an outlier.
         rows, n = at.Q[-2 * m:].reshape(m, 2, -1), at.b[-2 * m:].reshape(-1, 2)
         # Of two observations both are needed, and neither can be tested.
-        d2 = np.zeros(m) if m == MIN_OBSERVATIONS else squared_distances(
+        d2 = np.zeros(m) if m == MIN_ALIGNMENT_OBSERVATIONS else squared_distances(
             n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
         return Alignment(BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations, d2)
 

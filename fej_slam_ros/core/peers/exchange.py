@@ -28,9 +28,9 @@ REACH_PERIODS = 4
 #: Shortest time [ns] after which a hello that still lacks a block shows that it was lost; less
 #: makes no difference, as hellos come at their period.
 MIN_WAIT = NS // 5
-#: The same for a robot to which the round trip is not known, and the longest round trip [ns] that
-#: is believed: that of a satellite link with a queue.
-MAX_WAIT = 10 * NS
+#: Longest round trip [ns] that is believed, which is also assumed before any is known: that of a
+#: satellite link with a queue.
+MAX_ROUND_TRIP = 10 * NS
 #: Time [ns] by which a round trip may be longer than the measured ones before.
 ROUND_TRIP_MARGIN = NS // 20
 #: Divisor of the difference by which a shorter round trip than before counts. A longer one counts
@@ -93,7 +93,7 @@ class PeerState:
 
     def add_round_trip(self, measured: int) -> None:
         """Use a measured round trip [ns], unless a clock has changed in it."""
-        if measured > MAX_WAIT:
+        if measured > MAX_ROUND_TRIP:
             return
         if self.round_trip is None or measured > self.round_trip:
             self.round_trip = measured
@@ -103,7 +103,7 @@ class PeerState:
     def wait(self) -> int:
         """Return the time [ns] after which a hello that lacks a block shows that it was lost."""
         if self.round_trip is None:
-            return MAX_WAIT
+            return MAX_ROUND_TRIP
         return max(self.round_trip + ROUND_TRIP_MARGIN, MIN_WAIT)
 
 

@@ -17,7 +17,7 @@ from fej_slam_ros.core.settings import NoiseSettings
 #: Maximum number of records of a block, so that its content stays below the size that is read, and
 #: of observations of a record in it: a larger scan is divided, and becomes one again where it is
 #: used.
-MAX_BLOCK_RECORDS, MAX_BLOCK_OBSERVATIONS = 64, 8
+MAX_BLOCK_RECORDS, MAX_RECORD_OBSERVATIONS = 64, 8
 #: Maximum number of blocks of rendezvous information.
 MAX_INFORMATION = 16
 #: Standard deviations of odometry and of landmarks, the three scales of noise, and the systematic
@@ -287,12 +287,12 @@ class TeamLogs:
 def _divided(measurement: Measurement) -> Iterator[Measurement]:
     """Yield a measurement, or a large scan in parts that fit into blocks."""
     if isinstance(measurement, Odometry) or (
-            len(measurement.observations) <= MAX_BLOCK_OBSERVATIONS):
+            len(measurement.observations) <= MAX_RECORD_OBSERVATIONS):
         yield measurement
         return
     robot, stamp = measurement.robot, measurement.stamp
-    for k in range(0, len(measurement.observations), MAX_BLOCK_OBSERVATIONS):
-        part = slice(k, k + MAX_BLOCK_OBSERVATIONS)
+    for k in range(0, len(measurement.observations), MAX_RECORD_OBSERVATIONS):
+        part = slice(k, k + MAX_RECORD_OBSERVATIONS)
         if isinstance(measurement, RobotScan):
             of_robots = RestOfRobotScan if k else RobotScan
             yield of_robots(robot, stamp, measurement.observations[part])

@@ -37,7 +37,7 @@ SLOWER_THAN_SCANS = 1.5
 #: Maximum number of steps back whose cause is looked for: two publishers on a topic make more.
 MAX_STEPS_BACK = 100
 #: Causes and cures of stamps that step back, which only regular odometry distinguishes.
-REPEATED_TIME = (
+PASSED_TWICE = (
     ', to a time that was recorded before: its clock was set back, or recordings were joined',
     'synchronise the clock before recording; correct the stamps, or replay each part on its own')
 WRITTEN_LATE = (
@@ -86,7 +86,7 @@ def _order(name: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[
         is_harmless = largest <= settings.max_delay * NS or name.endswith('/ground_truth')
         cause, cure = OTHER_STEPS
         if name.endswith('/odom') and 0 < len(steps_back(stamps)) <= MAX_STEPS_BACK:
-            cause, cure = REPEATED_TIME if breaks(stamps) else WRITTEN_LATE
+            cause, cure = PASSED_TWICE if breaks(stamps) else WRITTEN_LATE
         yield error_if(not is_harmless)(
             'stamps_go_back', name,
             f'{len(back)} messages have an earlier stamp than the one recorded before, by up to'

@@ -16,8 +16,8 @@ from fej_slam_ros.ros.messages.cloud_cdr import MAX_LAYOUTS
 from fej_slam_ros.ros.messages.common import header
 
 #: Numpy types by PointField's type codes, and back.
-FORMATS = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
-CODES = {name: code for code, name in FORMATS.items()}
+DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
+CODES = {name: code for code, name in DATATYPES.items()}
 
 #: Fields of the coordinates in float64, beside x and y in float32 that RViz draws.
 EXACT_POINT = ('x_f64', 'y_f64')
@@ -84,9 +84,9 @@ def _point(fields: tuple[tuple[str, int, int], ...], order: str, size: int) -> n
     """Return the type of a point of some bytes from name, type code and offset of its fields."""
     types: dict[str, tuple[str, int]] = {}
     for name, datatype, offset in fields:
-        if datatype not in FORMATS:
+        if datatype not in DATATYPES:
             raise BadCloudError(f'unknown type of field {name}')
-        types[name] = order + FORMATS[datatype], offset
+        types[name] = order + DATATYPES[datatype], offset
         if offset + np.dtype(types[name][0]).itemsize > size:
             raise BadCloudError(f'field {name} reaches beyond its point')
     formats, offsets = zip(*types.values()) if types else ((), ())

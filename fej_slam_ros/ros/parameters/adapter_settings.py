@@ -24,7 +24,7 @@ SPATIAL_POSE = replace(
     numbers('six numbers [x, y, z, roll, pitch, yaw]', Range(-1e3, 1e3), (6,)), angles=3)
 ANGLE_SIGMA = numbers('a number', Range(1e-5, 1.0))
 LENGTH_SIGMA = numbers('a number', Range(1e-5, 10.0))
-GROWTH = numbers('a number', Range(0.0, 10.0))
+SIGMA_GROWTH = numbers('a number', Range(0.0, 10.0))
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class AdapterSettings:
         0.02, LENGTH_SIGMA, 'standard deviation of a distance near the sensor, for messages'
         ' without covariances', 'm')
     range_sigma_growth: float = parameter(
-        0.01, GROWTH, 'its growth by the square of the distance', '1/m')
+        0.01, SIGMA_GROWTH, 'its growth by the square of the distance', '1/m')
     bearing_sigma: float = parameter(
         0.005, ANGLE_SIGMA, 'standard deviation of a direction', 'rad')
     orientation_sigma: float = parameter(

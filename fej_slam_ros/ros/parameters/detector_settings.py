@@ -21,8 +21,8 @@ from fej_slam_ros.ros.parameters.values import (
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
 
 RADIUS = numbers('a number', Range(0.001, 10.0))
-SIGMA = numbers('a number', Range(1e-4, 10.0))
-COUNT = numbers('an integer', Range(1, 1000), element=int)
+RANGE_SIGMA = numbers('a number', Range(1e-4, 10.0))
+BEAM_COUNT = numbers('an integer', Range(1, 1000), element=int)
 DURATION = numbers('a number', Range(0.0, MAX_DURATION))
 
 
@@ -46,11 +46,11 @@ class DetectorSettings:
         default='must be given')
     min_radius: float = parameter(0.03, RADIUS, 'smallest radius of a post', 'm')
     max_radius: float = parameter(0.5, RADIUS, 'largest radius of a post', 'm')
-    range_sigma: float = parameter(0.03, SIGMA, 'standard deviation of a range', 'm')
+    range_sigma: float = parameter(0.03, RANGE_SIGMA, 'standard deviation of a range', 'm')
     max_range: float = parameter(
         100.0, POSITIVE, 'range beyond which nothing is detected', 'm')
     min_beams: int = parameter(
-        3, COUNT, 'minimum number of beams that meet a landmark; a post needs at least 3')
+        3, BEAM_COUNT, 'minimum number of beams that meet a landmark; a post needs at least 3')
     static_time: float = parameter(
         0.8, NOT_NEGATIVE,
         'time for which a landmark must have been seen at one place, so that people who walk are'
