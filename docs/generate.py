@@ -24,14 +24,10 @@ from fej_slam_ros.ros.parameters import (
     adapter_settings, declared_parameters, detector_settings, ESTIMATOR, known_parameters,
     NodeSettings, QOS_POLICIES, RENAMED_PARAMETERS, SMOOTHER)
 from fej_slam_ros.ros.session import simulation
-from fej_slam_ros.ros.session.estimator_outputs import relative_topic
-from fej_slam_ros.ros.session.frames import STATIC_TF, TF
-from fej_slam_ros.ros.session.inputs import (
-    CLOUD, INITIALPOSE, ROBOT_TOPICS, TF_TYPE, TRUE_LANDMARKS)
-from fej_slam_ros.ros.session.live_outputs import PREDICTED_TYPES
-from fej_slam_ros.ros.session.outputs import ROBOT_TYPES, TYPES
-from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE
-from fej_slam_ros.ros.session.smoother_outputs import SMOOTHED_ROBOT_TYPES, TEAM_TYPES
+from fej_slam_ros.ros.topic_types import (
+    CLOUD, EXCHANGE_TOPIC, EXCHANGE_TYPE, INITIALPOSE, OUTPUT_TYPES, PREDICTED_TYPES,
+    relative_topic, ROBOT_OUTPUT_TYPES, ROBOT_TOPICS, SMOOTHED_ROBOT_TYPES,
+    SMOOTHED_TEAM_TYPES, STATIC_TF, TF, TF_TYPE, TRUE_LANDMARKS)
 
 HERE = Path(__file__).parent
 NODES = HERE.parent / 'fej_slam_ros' / 'ros' / 'nodes'
@@ -400,12 +396,12 @@ def _input_rows() -> Iterator[Sequence[str]]:
 
 def _output_rows() -> Iterator[Sequence[str]]:
     pair = relative_topic(ROBOT_NAME, '<other>')
-    of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_TYPES.items()}
+    of_estimator = {f'{ROBOT_NAME}/{kind}': name for kind, name in ROBOT_OUTPUT_TYPES.items()}
     of_estimator |= {f'{ROBOT_NAME}/{kind}': name for kind, name in PREDICTED_TYPES.items()}
     transforms = dict.fromkeys((f'/{TF}', f'{ROBOT_NAME}/{TF}'), TF_TYPE)
-    of_estimator |= {pair: ROBOT_TYPES['pose'], **TYPES, **transforms}
+    of_estimator |= {pair: ROBOT_OUTPUT_TYPES['pose'], **OUTPUT_TYPES, **transforms}
     of_smoother = {f'{ROBOT_NAME}/{kind}': name for kind, name in SMOOTHED_ROBOT_TYPES.items()}
-    of_smoother |= {**TEAM_TYPES, **transforms}
+    of_smoother |= {**SMOOTHED_TEAM_TYPES, **transforms}
     for topic, type_name in {**of_estimator, **of_smoother}.items():
         yield _row(
             topic, type_name, output_qos, topic in of_estimator, topic in of_smoother,

@@ -24,7 +24,7 @@ from fej_slam_ros.ros.nodes.child_processes import (
 from fej_slam_ros.ros.nodes.endpoints import message_class
 from fej_slam_ros.ros.nodes.qos import reliable
 from fej_slam_ros.ros.nodes.ros_process import ros, Stop
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TYPES
+from fej_slam_ros.ros.topic_types import DIAGNOSTICS_TOPIC, OUTPUT_TYPES, POSE_WITH_COVARIANCE
 
 QUEUE_DEPTH = 1000
 #: Interval between two checks of the connections [s].
@@ -84,7 +84,7 @@ class _Sender:
         self._pose_topics = [
             self._subscribe_pose(robot) for robot in {topic.partition('/')[0] for topic in types}]
         self._node.create_subscription(
-            message_class(TYPES[DIAGNOSTICS_TOPIC]), DIAGNOSTICS_TOPIC,
+            message_class(OUTPUT_TYPES[DIAGNOSTICS_TOPIC]), DIAGNOSTICS_TOPIC,
             self._receive_diagnostics, reliable(QUEUE_DEPTH), raw=True)
         self._last_received = time_ns()
 
@@ -124,7 +124,7 @@ class _Sender:
     def _receive_diagnostics(self, raw: bytes) -> None:
         self.traffic.diagnostics.update({
             status.name.rpartition(' ')[2]: {value.key: value.value for value in status.values}
-            for status in deserialize(raw, TYPES[DIAGNOSTICS_TOPIC]).status})
+            for status in deserialize(raw, OUTPUT_TYPES[DIAGNOSTICS_TOPIC]).status})
 
     def _subscribe_pose(self, robot: str) -> str:
         """Subscribe to the poses of a robot and return the topic."""
@@ -133,8 +133,8 @@ class _Sender:
             self.traffic.received[robot, stamp_of(raw)] = self._last_received
 
         return str(self._node.create_subscription(
-            message_class(ROBOT_TYPES['pose']), f'{robot}/pose', receive, reliable(QUEUE_DEPTH),
-            raw=True).topic_name)
+            message_class(POSE_WITH_COVARIANCE), f'{robot}/pose', receive,
+            reliable(QUEUE_DEPTH), raw=True).topic_name)
 
 
 @contextmanager

@@ -15,8 +15,8 @@ from fej_slam_ros.core.records import Step
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import RawMessage, serialize
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session.live_outputs import LiveOutputs
+from fej_slam_ros.ros.topic_types import ODOMETRY
 
 #: Number of robots and of landmarks of each row.
 TEAMS = ((2, 20), (2, 500), (20, 500), (50, 500))

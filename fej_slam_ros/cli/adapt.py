@@ -19,7 +19,7 @@ from fej_slam_ros.ros.messages.object_formats import FORMATS
 from fej_slam_ros.ros.parameters.adapter_settings import (
     AdapterSettings, known_parameters, load_adapter)
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
-from fej_slam_ros.ros.session.inputs import TF_TYPE
+from fej_slam_ros.ros.topic_types import TF_TYPE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -15,7 +15,7 @@ from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import decoded_as, RawMessage
 from fej_slam_ros.ros.messages.incoming import RejectedError
 from fej_slam_ros.ros.messages.incoming_clouds import has_unknown_landmarks
-from fej_slam_ros.ros.session.inputs import CLOUD, expected_topics
+from fej_slam_ros.ros.topic_types import CLOUD, expected_topics
 
 
 def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Iterable[RawMessage]:

@@ -14,7 +14,8 @@ from functools import partial
 from fej_slam_ros.cli.front_end_run import add_copy_arguments, write_copy
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.parameters.detector_settings import known_parameters, load_detector
-from fej_slam_ros.ros.session.detector_session import DetectorSession, LASER_SCAN
+from fej_slam_ros.ros.session.detector_session import DetectorSession
+from fej_slam_ros.ros.topic_types import LASER_SCAN
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

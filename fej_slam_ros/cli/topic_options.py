@@ -9,6 +9,7 @@ from pathlib import Path
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.files.topic_names import (
     absolute_namespace, checked_rule, EXAMPLE, topic_names, TopicNames)
+from fej_slam_ros.ros.topic_types import ROBOT_TOPICS
 
 
 def add_topic_names(parser: argparse.ArgumentParser) -> None:
@@ -55,8 +56,6 @@ def names_in(arguments: argparse.Namespace, *bags: Path, is_played: bool = False
 
 
 def _check_types(names: TopicNames, types: Mapping[str, str]) -> None:
-    from fej_slam_ros.ros.session.inputs import ROBOT_TOPICS
-
     for old, new in names.renamed.items():
         expected = ROBOT_TOPICS.get(new.rpartition('/')[2])
         recorded = types.get(old.lstrip('/'))

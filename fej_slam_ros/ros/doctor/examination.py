@@ -28,7 +28,7 @@ from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.parameters.detector_settings import detector_in
-from fej_slam_ros.ros.session.inputs import expected_topics, OBSERVATION_TOPICS
+from fej_slam_ros.ros.topic_types import expected_topics, OBSERVATION_TOPICS
 
 #: Findings that a time jump explains; they are left out beside it.
 EFFECTS_OF_TIME_JUMPS = {

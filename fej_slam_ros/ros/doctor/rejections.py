@@ -9,8 +9,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, most_frequent, seconds
 from fej_slam_ros.ros.doctor.survey import ObservationSeries, Survey, TopicSeries
 from fej_slam_ros.ros.doctor.trial import Trial
-from fej_slam_ros.ros.session.inputs import INITIALPOSE
-
+from fej_slam_ros.ros.topic_types import INITIALPOSE
 
 #: Description of rejected input by reason, and what the user can do.
 CURES: dict[Reason, tuple[str, str]] = {

@@ -14,7 +14,7 @@ from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.messages import decoded, Message, RawMessage
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.topic_types import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 
 CLOUD_FIELDS = ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y')
 

@@ -8,7 +8,7 @@ from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.files import front_end_topics
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
-from fej_slam_ros.ros.session.inputs import INITIALPOSE, SENT_TOPICS
+from fej_slam_ros.ros.topic_types import INITIALPOSE, SENT_TOPICS
 
 
 def check(

@@ -12,7 +12,8 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.messages import RawMessage, stamp_of
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.inputs import INITIALPOSE, Inputs
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.topic_types import INITIALPOSE
 
 #: Reasons of observations that do not fit, and all that concern the whole run rather than single
 #: messages; jumps of odometry have a finding of their own.

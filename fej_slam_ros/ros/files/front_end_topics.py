@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.messages.object_formats import FORMATS
-from fej_slam_ros.ros.session.detector_session import LASER_SCAN
-from fej_slam_ros.ros.session.inputs import TF_TYPE
+from fej_slam_ros.ros.topic_types import LASER_SCAN, TF_TYPE
 
 
 def formats_in(topics: Mapping[str, BagTopic], robot: str) -> list[str]:

@@ -14,7 +14,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.parameters import RESERVED_NAMES
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.topic_types import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 
 ROBOT_NAME = re.compile('[A-Za-z][A-Za-z0-9_]*')
 #: Maximum number of topics of a type that a message lists.

@@ -17,7 +17,7 @@ from fej_slam_ros.ros.files.run_results import is_bag, read_messages, robots_wit
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import incoming, incoming_clouds, Message
 from fej_slam_ros.ros.messages.common import from_quaternion
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TRUE_LANDMARKS
+from fej_slam_ros.ros.topic_types import CLOUD, ODOMETRY, TRUE_LANDMARKS
 from fej_slam_ros.tables import Cells, finite_numbers
 
 #: Columns of a TUM file after the time.

@@ -22,8 +22,8 @@ from fej_slam_ros.ros.files.csv_rows import (
 from fej_slam_ros.ros.files.row_files import read_table
 from fej_slam_ros.ros.files.topic_names import topic_names, TopicNames
 from fej_slam_ros.ros.messages import decoded, incoming, Message, own_results
-from fej_slam_ros.ros.session.inputs import CLOUD, POSE_WITH_COVARIANCE, TRUE_LANDMARKS
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, TYPES
+from fej_slam_ros.ros.topic_types import (
+    CLOUD, DIAGNOSTICS_TOPIC, OUTPUT_TYPES, POSE_WITH_COVARIANCE, TRUE_LANDMARKS)
 
 #: Beginning of the names of the files with trajectories.
 TRAJECTORY = 'trajectory_'
@@ -138,7 +138,7 @@ class _PublishedResults:
         self._own_frames = {*map(own_frame, self.rows)}
         self.types = {
             **dict.fromkeys(self._maps, CLOUD),
-            **dict.fromkeys(DIAGNOSTICS, TYPES[DIAGNOSTICS_TOPIC]),
+            **dict.fromkeys(DIAGNOSTICS, OUTPUT_TYPES[DIAGNOSTICS_TOPIC]),
             **{f'{robot}/pose': POSE_WITH_COVARIANCE for robot in self.rows}}
 
     def add(self, topic: str, message: Message) -> None:

@@ -19,9 +19,8 @@ from fej_slam_ros.ros.nodes.child_processes import (
 from fej_slam_ros.ros.nodes.endpoints import message_class
 from fej_slam_ros.ros.nodes.qos import reliable
 from fej_slam_ros.ros.nodes.ros_process import ros
-from fej_slam_ros.ros.session.outputs import ROBOT_TYPES
+from fej_slam_ros.ros.topic_types import POSE_WITH_COVARIANCE
 
-POSE_TYPE = ROBOT_TYPES['pose']
 #: Time [s] without a pose after which the estimator has processed everything.
 IDLE_TIME = 1.0
 #: Period of the line on the terminal [s].
@@ -105,7 +104,7 @@ class _LiveView:
 
     def _subscribe(self, name: str) -> None:
         def receive(raw: bytes) -> None:
-            message = deserialize(raw, POSE_TYPE)
+            message = deserialize(raw, POSE_WITH_COVARIANCE)
             self._last = monotonic()
             self._time = from_time(message.header.stamp) / NS - 1.0
             p, P = message.pose.pose.position, from_covariance(message.pose.covariance)
@@ -113,4 +112,4 @@ class _LiveView:
             self._poses[name] = f'({p.x:7.2f}, {p.y:7.2f}) +- {sigma:.2f} m'
 
         self._node.create_subscription(
-            message_class(POSE_TYPE), f'{name}/pose', receive, reliable(100), raw=True)
+            message_class(POSE_WITH_COVARIANCE), f'{name}/pose', receive, reliable(100), raw=True)

@@ -17,9 +17,9 @@ from fej_slam_ros.ros.nodes.ros_process import Stop
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.inputs import INITIALPOSE
 from fej_slam_ros.ros.session.live_outputs import LiveOutputs
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.topic_types import INITIALPOSE
 
 #: Duration of due steps [s] after which waiting messages are handled first: the steps that a slow
 #: robot has delayed must not delay the predicted poses of others. It is longer for steps that have

@@ -22,13 +22,13 @@ from fej_slam_ros.ros.messages.outgoing import view_frames
 from fej_slam_ros.ros.nodes.endpoints import is_installed, message_class
 from fej_slam_ros.ros.nodes.parameter_node import CheckedClockNode
 from fej_slam_ros.ros.nodes.ros_process import ros
-from fej_slam_ros.ros.session.inputs import ODOMETRY, TF_TYPE
 from fej_slam_ros.ros.session.live_plots import (
     CONSISTENCY, consistency, FRAMES, PlottedNode, SCHEMA)
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, ROBOT_TYPES, TYPES
+from fej_slam_ros.ros.topic_types import (
+    DIAGNOSTICS_TOPIC, ODOMETRY, OUTPUT_TYPES, ROBOT_OUTPUT_TYPES, TF_TYPE)
 
 #: Types of the served topics.
-SERVED_TYPES = {*TYPES.values(), *ROBOT_TYPES.values(), ODOMETRY, TF_TYPE}
+SERVED_TYPES = {*OUTPUT_TYPES.values(), *ROBOT_OUTPUT_TYPES.values(), ODOMETRY, TF_TYPE}
 #: Period [s] of the check for new topics and for the subscriptions of clients.
 TOPIC_CHECK_PERIOD = 0.2
 #: Period [s] of the time sent to clients; 20 Hz looks smooth.
@@ -142,7 +142,7 @@ class View(ServerListener):
 
     def _plot(self, raw: bytes) -> None:
         """Pass on the values of diagnostics of an estimator as numbers."""
-        report = decoded(raw, TYPES[DIAGNOSTICS_TOPIC])
+        report = decoded(raw, OUTPUT_TYPES[DIAGNOSTICS_TOPIC])
         if report is None:
             self._warn(f'messages on {DIAGNOSTICS_TOPIC} that cannot be decoded are not plotted')
             return

@@ -25,9 +25,9 @@ from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.parameters.schema import flat_values
 from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD, IncompatibleQos, NO_CLOCK
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
-from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.topic_types import TF_TYPE
 
 #: Number of reports that have the same warning before it is logged.
 PATIENCE = 5

@@ -13,7 +13,7 @@ from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.nodes.endpoints import check_topic_names, message_class, wait_for_arrival
 from fej_slam_ros.ros.nodes.qos import reliable, STATIC_DEPTH
 from fej_slam_ros.ros.nodes.ros_process import Stop
-from fej_slam_ros.ros.session.frames import STATIC_TF
+from fej_slam_ros.ros.topic_types import STATIC_TF
 
 #: Queue length of the publishers, messages: a subscriber may stall for seconds without loss.
 PLAYED_DEPTH = 1000

@@ -6,10 +6,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSPolicyKind, QoSProfile, QoSReliabi
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from fej_slam_ros.ros.parameters import QOS_POLICIES
-from fej_slam_ros.ros.session.frames import STATIC_TF
-from fej_slam_ros.ros.session.front_end import LANDMARK_IDS
-from fej_slam_ros.ros.session.inputs import TRUE_LANDMARKS
-from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
+from fej_slam_ros.ros.topic_types import EXCHANGE_TOPIC, LANDMARK_IDS, STATIC_TF, TRUE_LANDMARKS
 
 #: Queue lengths, messages: inputs survive a stall of a second at 200 Hz. Documented in topics.md.
 INPUT_DEPTH = 200

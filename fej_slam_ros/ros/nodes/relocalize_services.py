@@ -22,7 +22,7 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.messages import outgoing, serialize
 from fej_slam_ros.ros.nodes.endpoints import end_service, message_class
 from fej_slam_ros.ros.nodes.qos import reliable
-from fej_slam_ros.ros.session.inputs import ROBOT_TOPICS
+from fej_slam_ros.ros.topic_types import ROBOT_TOPICS
 
 #: Queue length of the requests, messages.
 REQUEST_DEPTH = 10

@@ -38,8 +38,8 @@ from fej_slam_ros.ros.nodes.topics import NodeTopics
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD
 from fej_slam_ros.ros.session.late_starts import StartCheck
-from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC
 from fej_slam_ros.ros.session.session import Session
+from fej_slam_ros.ros.topic_types import EXCHANGE_TOPIC
 
 
 class SessionNode(SettingsNode):

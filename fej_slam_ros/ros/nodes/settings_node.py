@@ -10,7 +10,7 @@ from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.nodes.endpoints import is_installed
 from fej_slam_ros.ros.nodes.managed_node import ManagedNode
-from fej_slam_ros.ros.session.inputs import TF_TYPE
+from fej_slam_ros.ros.topic_types import TF_TYPE
 
 
 class SettingsNode(ManagedNode):

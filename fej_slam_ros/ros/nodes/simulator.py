@@ -10,8 +10,7 @@ from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 from fej_slam_ros.ros.nodes.player import Player
 from fej_slam_ros.ros.nodes.ros_process import ros
 from fej_slam_ros.ros.session import simulated_input, simulation
-from fej_slam_ros.ros.session.detector_session import LASER_SCAN
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.topic_types import CLOUD, LASER_SCAN, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.sim.environments import LaserEnvironment, TagEnvironment
 
 #: Types of the topics of a robot whose data are not yet observations, by the last part of names.

@@ -10,8 +10,8 @@ from fej_slam_ros.ros.nodes.endpoints import check_topic_names, is_installed
 from fej_slam_ros.ros.nodes.managed_node import ManagedNode
 from fej_slam_ros.ros.nodes.relocalize_services import RelocalizeServices
 from fej_slam_ros.ros.nodes.topics import NodeTopics
-from fej_slam_ros.ros.session.inputs import TF_TYPE
 from fej_slam_ros.ros.session.session import Session
+from fej_slam_ros.ros.topic_types import TF_TYPE
 
 
 class TeamEndpoints:

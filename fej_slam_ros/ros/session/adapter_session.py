@@ -21,14 +21,14 @@ from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.session.adapter_counts import AdapterCounts
 from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
-from fej_slam_ros.ros.session.frames import transform_topics
-from fej_slam_ros.ros.session.front_end import LANDMARK_IDS, RobotCounts
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY, TF_TYPE
+from fej_slam_ros.ros.session.front_end import RobotCounts
 from fej_slam_ros.ros.session.landmark_ids import LandmarkIds, number_of
 from fej_slam_ros.ros.session.object_queue import ObjectQueue, ObjectScan, Origin
-from fej_slam_ros.ros.session.outputs import (
-    DIAGNOSTICS_TOPIC, IsWanted, MARKERS_TOPIC, Publication, TYPES)
+from fej_slam_ros.ros.session.outputs import IsWanted, Publication
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
+from fej_slam_ros.ros.topic_types import (
+    CLOUD, DIAGNOSTICS_TOPIC, LANDMARK_IDS, MARKERS_TOPIC, ODOMETRY, OUTPUT_TYPES, TF_TYPE,
+    transform_topics)
 
 #: Maximum number of objects in a message, and of its bytes, beyond which it is not decoded.
 MAX_MESSAGE_OBJECTS, MAX_MESSAGE_SIZE = 2_000, 4_000_000
@@ -83,8 +83,8 @@ class AdapterSession:
         self.outputs = {
             **{f'{name}/{kind}': CLOUD for name in self.robots
                for kind in ('landmarks', *(['robots'] if self._carriers else []))},
-            **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
-            LANDMARK_IDS: outgoing.TEXT_TYPE, DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
+            **{f'{name}/detection_markers': OUTPUT_TYPES[MARKERS_TOPIC] for name in self.robots},
+            LANDMARK_IDS: outgoing.TEXT_TYPE, DIAGNOSTICS_TOPIC: OUTPUT_TYPES[DIAGNOSTICS_TOPIC]}
         self._stamps = {name: DistinctStamps() for name in self.robots}
         self._counts = AdapterCounts(
             self.robots, self.object_topics, self._frames, self._queue, self._ids)

@@ -22,13 +22,12 @@ from fej_slam_ros.ros.messages import (
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.front_end import RobotCounts
-from fej_slam_ros.ros.session.inputs import CLOUD, ODOMETRY
-from fej_slam_ros.ros.session.outputs import (
-    DIAGNOSTICS_TOPIC, IsWanted, MARKERS_TOPIC, Publication, TYPES)
+from fej_slam_ros.ros.session.outputs import IsWanted, Publication
 from fej_slam_ros.ros.session.robot_detector import Condition, RobotDetector
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
+from fej_slam_ros.ros.topic_types import (
+    CLOUD, DIAGNOSTICS_TOPIC, LASER_SCAN, MARKERS_TOPIC, ODOMETRY, OUTPUT_TYPES)
 
-LASER_SCAN = 'sensor_msgs/msg/LaserScan'
 #: Number of radii that are stored for each robot.
 MAX_RADII = 1_000
 
@@ -69,8 +68,8 @@ class DetectorSession:
             **{f'{name}/odom': ODOMETRY for name in self.robots}, **self._frames.topics}
         self.outputs = {
             **{f'{name}/landmarks': CLOUD for name in self.robots},
-            **{f'{name}/detection_markers': TYPES[MARKERS_TOPIC] for name in self.robots},
-            DIAGNOSTICS_TOPIC: TYPES[DIAGNOSTICS_TOPIC]}
+            **{f'{name}/detection_markers': OUTPUT_TYPES[MARKERS_TOPIC] for name in self.robots},
+            DIAGNOSTICS_TOPIC: OUTPUT_TYPES[DIAGNOSTICS_TOPIC]}
 
     def receive(self, arrived: RawMessage) -> None:
         """Add a message, or count its rejection."""

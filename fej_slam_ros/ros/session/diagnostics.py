@@ -14,9 +14,10 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings, QOS_OVERRIDES
 from fej_slam_ros.ros.session.input_faults import Fault, faults, Level, RobotInput, TopicPublishers
-from fej_slam_ros.ros.session.inputs import Inputs, MEASUREMENT_TOPICS
-from fej_slam_ros.ros.session.outputs import ConsumerT, DIAGNOSTICS_TOPIC, Publication
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.outputs import ConsumerT, Publication
 from fej_slam_ros.ros.session.percentiles import percentiles
+from fej_slam_ros.ros.topic_types import DIAGNOSTICS_TOPIC, MEASUREMENT_TOPICS
 
 #: Period of the reports [s], as REP-107 recommends.
 DIAGNOSTICS_PERIOD = 1.0

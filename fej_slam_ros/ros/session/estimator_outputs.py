@@ -13,8 +13,9 @@ from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import (
-    IsWanted, JOINT_COVARIANCE_TOPIC, MapEstimate, MAX_PATH, Outputs, Publication, ROBOT_TYPES,
-    StampedPoses)
+    IsWanted, MapEstimate, MAX_PATH, Outputs, Publication, StampedPoses)
+from fej_slam_ros.ros.topic_types import (
+    JOINT_COVARIANCE_TOPIC, POSE_WITH_COVARIANCE, relative_topic)
 
 
 @dataclass(slots=True)
@@ -48,11 +49,6 @@ def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
             of_frame.frame, ids, [(key,) for key in of_frame.keys], of_frame.points, of_frame.P)
 
 
-def relative_topic(observer: str, observed: str) -> str:
-    """Return the topic of the pose of one robot in the base frame of another."""
-    return f'{observer}/relative_pose/{observed}'
-
-
 class EstimatorOutputs(Outputs[Estimator]):
     """
     Converts results of an estimator to messages.
@@ -73,7 +69,7 @@ class EstimatorOutputs(Outputs[Estimator]):
     @property
     def topics(self) -> dict[str, str]:
         return super().topics | {
-            relative_topic(*pair): ROBOT_TYPES['pose'] for pair in self._pairs}
+            relative_topic(*pair): POSE_WITH_COVARIANCE for pair in self._pairs}
 
     def remove_robot(self, robot: str) -> None:
         """Publish no more paths and markers of a robot that was removed."""

@@ -12,26 +12,10 @@ from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.topic_types import STATIC_TF, transform_topics
 
-#: Last part of the names of topics with transforms, and with static ones.
-TF, STATIC_TF = 'tf', 'tf_static'
 #: Maximum number of child frames of odometry stored per robot; normally there is one.
 MAX_CHILD_FRAMES = 10
-
-
-def transform_topics(tf_topics: str, robot: str, kind: str) -> list[str]:
-    """
-    Return the topics with transforms of a robot, its own first.
-
-    Parameters
-    ----------
-    tf_topics : value of the parameter of this name
-    robot : its name
-    kind : last part of the names, `TF` or `STATIC_TF`
-
-    """
-    own, shared = f'{robot}/{kind}', f'/{kind}'
-    return {'robot': [own], 'shared': [shared], 'both': [own, shared]}[tf_topics]
 
 
 class Team(Protocol):

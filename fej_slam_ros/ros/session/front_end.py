@@ -7,10 +7,8 @@ from typing import Protocol
 
 from fej_slam_ros.ros.messages import outgoing, RawMessage
 from fej_slam_ros.ros.session.input_faults import Level
-from fej_slam_ros.ros.session.outputs import DIAGNOSTICS_TOPIC, IsWanted, Publication
-
-#: Topic of the IDs of landmarks by the names of the detected objects.
-LANDMARK_IDS = 'landmark_ids'
+from fej_slam_ros.ros.session.outputs import IsWanted, Publication
+from fej_slam_ros.ros.topic_types import DIAGNOSTICS_TOPIC
 
 #: A robot, a warning or '', and the counts of its input and output.
 RobotCounts = tuple[str, str, dict[str, int]]

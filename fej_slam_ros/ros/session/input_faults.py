@@ -18,8 +18,8 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_health import (
     EXACT_MESSAGES, InputHealth, MIN_GATE_SAMPLE, UNMOVED_MESSAGES)
-from fej_slam_ros.ros.session.inputs import MEASUREMENT_TOPICS, OBSERVATION_TOPICS, SENT_TOPICS
 from fej_slam_ros.ros.session.topic_flow import RATE_WINDOW, TopicFlow
+from fej_slam_ros.ros.topic_types import MEASUREMENT_TOPICS, OBSERVATION_TOPICS, SENT_TOPICS
 
 #: Fraction of gated observations above which to warn, and above which it is an error; a correct
 #: one is gated with probability 0.001.

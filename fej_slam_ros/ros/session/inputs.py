@@ -3,7 +3,7 @@
 """Conversion of serialised messages of topics and bags to records of estimator and smoother."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -20,45 +20,20 @@ from fej_slam_ros.ros.messages import (
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
-from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
+from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.input_health import InputHealth
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, HeldOdometry, StartCheck
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
 from fej_slam_ros.ros.session.topic_flow import LargeScan
-
-ODOMETRY = 'nav_msgs/msg/Odometry'
-CLOUD = 'sensor_msgs/msg/PointCloud2'
-TF_TYPE = 'tf2_msgs/msg/TFMessage'
-POSE_WITH_COVARIANCE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
-
-#: Types of the topics that a robot publishes, by the last part of their names.
-SENT_TOPICS = {'odom': ODOMETRY, 'landmarks': CLOUD, 'robots': CLOUD, 'ground_truth': ODOMETRY}
-#: Those of observations, and of all measurements.
-OBSERVATION_TOPICS = ('landmarks', 'robots')
-MEASUREMENT_TOPICS = ('odom', *OBSERVATION_TOPICS)
-#: Types of all topics of a robot: users publish ``set_pose``, which a smoother with peers ignores.
-ROBOT_TOPICS = SENT_TOPICS | {'set_pose': POSE_WITH_COVARIANCE}
-TRUE_LANDMARKS = 'ground_truth/landmarks'
-#: Topic of RViz for the pose of one robot, the parameter `initialpose_robot`.
-INITIALPOSE = 'initialpose'
+from fej_slam_ros.ros.topic_types import (
+    CLOUD, expected_topics, INITIALPOSE, ODOMETRY, ROBOT_TOPICS, STATIC_TF, TF_TYPE,
+    TRUE_LANDMARKS)
 
 #: Maximum number of scans of a robot that wait for its first odometry, whose child frame is valid
 #: for scans; further scans are rejected. 1000 scans are minutes at usual rates.
 MAX_WAITING_SCANS = 1000
 #: Maximum bytes of the points in these.
 MAX_WAITING_BYTES = 16_000_000
-
-
-def expected_topics(
-    robots: Iterable[str], robot_topics: Mapping[str, str] = ROBOT_TOPICS
-) -> dict[str, str]:
-    """Return the types of the input topics of a team, by topic."""
-    of_team = {TRUE_LANDMARKS: CLOUD}
-    if 'set_pose' in robot_topics:
-        of_team[INITIALPOSE] = POSE_WITH_COVARIANCE
-    return {
-        f'{name}/{kind}': type_name
-        for name in robots for kind, type_name in robot_topics.items()} | of_team
 
 
 class Inputs:

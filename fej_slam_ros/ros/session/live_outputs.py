@@ -12,11 +12,9 @@ from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
-from fej_slam_ros.ros.session.inputs import Inputs, ODOMETRY, POSE_WITH_COVARIANCE
+from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
-
-#: Types of the topics of each robot with predicted poses.
-PREDICTED_TYPES = {'predicted_pose': POSE_WITH_COVARIANCE, 'odometry/filtered': ODOMETRY}
+from fej_slam_ros.ros.topic_types import PREDICTED_TYPES
 
 
 class LiveOutputs(EstimatorOutputs):

@@ -18,34 +18,16 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import LandmarkKey, NS
 from fej_slam_ros.ros.messages import markers, Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.frames import TF, transform_topics
-from fej_slam_ros.ros.session.inputs import CLOUD, Inputs, POSE_WITH_COVARIANCE, TF_TYPE
+from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.topic_types import (
+    LANDMARKS_TOPIC, MARKERS_TOPIC, OUTPUT_TYPES, REJECTIONS_TOPIC, ROBOT_OUTPUT_TYPES, TF,
+    TF_TYPE, transform_topics)
 
 #: Maximum number of poses of a published path, which limits its message to 100 kB; beyond it every
 #: second pose is dropped.
 MAX_PATH = 1000
 #: Maximum number of poses of a path in the markers, where details are too small to see.
 MAX_DRAWN_PATH = 250
-
-#: Topics of the node; ``~`` stands for its name.
-LANDMARKS_TOPIC = '~/landmarks'
-MARKERS_TOPIC = '~/markers'
-JOINT_COVARIANCE_TOPIC = '~/joint_covariance'
-REJECTIONS_TOPIC = '~/rejections'
-DIAGNOSTICS_TOPIC = '/diagnostics'
-
-TYPES = {
-    LANDMARKS_TOPIC: CLOUD,
-    MARKERS_TOPIC: 'visualization_msgs/msg/MarkerArray',
-    JOINT_COVARIANCE_TOPIC: 'std_msgs/msg/Float64MultiArray',
-    REJECTIONS_TOPIC: 'diagnostic_msgs/msg/DiagnosticStatus',
-    DIAGNOSTICS_TOPIC: 'diagnostic_msgs/msg/DiagnosticArray',
-}
-ROBOT_TYPES = {
-    'pose': POSE_WITH_COVARIANCE,
-    'path': 'nav_msgs/msg/Path',
-    'map_landmarks': CLOUD,
-}
 
 Publication = tuple[str, Message]
 IsWanted = Callable[[str], bool]
@@ -83,8 +65,8 @@ class Outputs(ABC, Generic[ConsumerT]):
     """
 
     #: Types of the topics of the node, and of each robot.
-    team_types: Mapping[str, str] = TYPES
-    robot_types: Mapping[str, str] = ROBOT_TYPES
+    team_types: Mapping[str, str] = OUTPUT_TYPES
+    robot_types: Mapping[str, str] = ROBOT_OUTPUT_TYPES
 
     def __init__(
         self, consumer: ConsumerT, inputs: Inputs, settings: NodeSettings, publishes_tf: bool

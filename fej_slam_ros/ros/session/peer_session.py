@@ -28,15 +28,15 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile, LiveExchangeFile
 from fej_slam_ros.ros.messages import decoded, outgoing, RawMessage
-from fej_slam_ros.ros.session.inputs import expected_topics, Inputs, SENT_TOPICS, TF_TYPE
+from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.peer_reports import PeerDiagnostics, PeerLog
 from fej_slam_ros.ros.session.rendezvous_schedule import RendezvousSchedule
-from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs, TEAM_TYPES
+from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs
 from fej_slam_ros.ros.session.smoother_session import FAILURE_PAUSE, SmootherSession, Solving
+from fej_slam_ros.ros.topic_types import (
+    EXCHANGE_TOPIC, EXCHANGE_TYPE, expected_topics, SENT_TOPICS, SMOOTHED_TEAM_TYPES, TF_TYPE)
 
-EXCHANGE_TOPIC = '/exchange'
-EXCHANGE_TYPE = 'std_msgs/msg/UInt8MultiArray'
 #: Number of new poses that a block of another robot counts as, for the decision to solve.
 BLOCK_POSES = 10
 
@@ -64,7 +64,7 @@ class PeerInputs(Inputs):
 class PeerOutputs(SmootherOutputs):
     """Results, and messages to other smoothers."""
 
-    team_types = MappingProxyType({**TEAM_TYPES, EXCHANGE_TOPIC: EXCHANGE_TYPE})
+    team_types = MappingProxyType({**SMOOTHED_TEAM_TYPES, EXCHANGE_TOPIC: EXCHANGE_TYPE})
 
     _consumer: PeerSmoother
 

@@ -9,11 +9,12 @@ from typing import Generic, NamedTuple
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.session.input_faults import reasons_in_words
-from fej_slam_ros.ros.session.inputs import Inputs, MEASUREMENT_TOPICS
+from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import ConsumerT
 from fej_slam_ros.ros.session.pose_prior_log import PosePriorLog
 from fej_slam_ros.ros.session.topic_flow import TopicFlow
+from fej_slam_ros.ros.topic_types import MEASUREMENT_TOPICS
 
 #: Maximum number of lines that wait to be written; a run without a node writes none.
 MAX_LINES = 1000

@@ -12,9 +12,9 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import decoded_as, incoming, Message, RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.frames import FrameNames, STATIC_TF
-from fej_slam_ros.ros.session.inputs import TF_TYPE
+from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
+from fej_slam_ros.ros.topic_types import STATIC_TF, TF_TYPE
 
 
 class SensorFrames:

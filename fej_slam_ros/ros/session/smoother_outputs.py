@@ -11,15 +11,8 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import (
-    DIAGNOSTICS_TOPIC, LANDMARKS_TOPIC, MapEstimate, MARKERS_TOPIC, Outputs, Publication,
-    REJECTIONS_TOPIC, ROBOT_TYPES, StampedPoses, TYPES)
-
-#: Types of the topics of the node, and of each robot.
-TEAM_TYPES = {
-    topic: TYPES[topic]
-    for topic in (LANDMARKS_TOPIC, MARKERS_TOPIC, REJECTIONS_TOPIC, DIAGNOSTICS_TOPIC)}
-SMOOTHED_ROBOT_TYPES = ROBOT_TYPES | {'base_node': ROBOT_TYPES['pose']}
+from fej_slam_ros.ros.session.outputs import MapEstimate, Outputs, Publication, StampedPoses
+from fej_slam_ros.ros.topic_types import SMOOTHED_ROBOT_TYPES, SMOOTHED_TEAM_TYPES
 
 
 def smoothed_estimates(solution: TeamMap, shared_ids: bool) -> Iterator[MapEstimate]:
@@ -44,7 +37,7 @@ class SmootherOutputs(Outputs[TeamSmoother]):
 
     """
 
-    team_types: Mapping[str, str] = TEAM_TYPES
+    team_types: Mapping[str, str] = SMOOTHED_TEAM_TYPES
     robot_types = SMOOTHED_ROBOT_TYPES
 
     def __init__(self, team: TeamSmoother, inputs: Inputs, settings: NodeSettings) -> None:

@@ -13,7 +13,7 @@ from rosbags.typesys.stores import ros2_jazzy as ros
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.parameters import parse
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.outputs import JOINT_COVARIANCE_TOPIC
+from fej_slam_ros.ros.topic_types import JOINT_COVARIANCE_TOPIC
 from helpers.optional import optional
 from helpers.records import MS, odometry, scan
 from helpers.ros import (

@@ -14,7 +14,7 @@ from fej_slam_ros.ros.session.diagnostics import NodeConditions
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
-from fej_slam_ros.ros.session.inputs import ODOMETRY
+from fej_slam_ros.ros.topic_types import ODOMETRY
 from helpers.records import MS, odometry, robot_scan, scan
 from helpers.ros import (
     drive, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, seen,

@@ -23,8 +23,9 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.messages import deserialize, RawMessage, serialize
 from fej_slam_ros.ros.session import peer_reports, peer_session
-from fej_slam_ros.ros.session.peer_session import EXCHANGE_TOPIC, EXCHANGE_TYPE, PeerSession
+from fej_slam_ros.ros.session.peer_session import PeerSession
 from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
+from fej_slam_ros.ros.topic_types import EXCHANGE_TOPIC, EXCHANGE_TYPE
 from helpers.paths import BAGS
 from helpers.records import odometry, scan
 from helpers.ros import raw_record

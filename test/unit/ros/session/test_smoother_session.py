@@ -13,9 +13,9 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import decoded, incoming, own_results
 from fej_slam_ros.ros.messages.common import from_quaternion, from_time
 from fej_slam_ros.ros.session import smoother_session
-from fej_slam_ros.ros.session.inputs import ODOMETRY
 from fej_slam_ros.ros.session.outputs import MAX_PATH
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
+from fej_slam_ros.ros.topic_types import ODOMETRY
 from helpers.paths import BAGS
 from helpers.ros import feed, meeting, odometry_message, raw, raw_record, run_settings
 
