@@ -19,7 +19,7 @@ from typing import Any
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.run_files import IncompleteError, RunFiles
-from fej_slam_ros.ros.session.outputs import MapEstimate
+from fej_slam_ros.ros.published_maps import MapEstimate
 
 #: Period of writing [s]: short, so that the thread never holds the interpreter for long.
 FLUSH_PERIOD = 0.1

@@ -23,7 +23,7 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files.csv_rows import (
     ID_COLUMNS, landmark_cells, LANDMARK_COLUMNS, pose_line, TRAJECTORY_COLUMNS)
-from fej_slam_ros.ros.session.outputs import MapEstimate
+from fej_slam_ros.ros.published_maps import MapEstimate
 
 #: Names of the incomplete files of a run.
 INCOMPLETE = (

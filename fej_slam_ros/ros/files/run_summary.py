@@ -20,11 +20,10 @@ from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.parameters import as_parameters, RunSettings
-from fej_slam_ros.ros.session.inputs import Inputs
 
 
 def estimator_summary(
-    estimator: Estimator, inputs: Inputs, settings: RunSettings
+    estimator: Estimator, unused_topics: Mapping[str, int], settings: RunSettings
 ) -> dict[str, Any]:
     """Return the content of ``summary.json`` for a run of the estimator."""
     in_map = estimator.groups.team.robots
@@ -34,7 +33,7 @@ def estimator_summary(
         'landmarks': len(estimator.groups.team.state.confirmed_landmarks()),
         'without_identity': {
             name: dict(counts) for name, counts in estimator.landmark_manager.counts.items()},
-        'unused_topics': dict(inputs.unused),
+        'unused_topics': dict(unused_topics),
         'nis': {
             name: {'sum': nis.total, 'dof': nis.dof, 'per_dof': nis.total / nis.dof}
             for name, nis in estimator.innovations.nis.items() if nis.dof},
@@ -43,7 +42,9 @@ def estimator_summary(
     }
 
 
-def smoother_summary(team: TeamSmoother, inputs: Inputs, settings: RunSettings) -> dict[str, Any]:
+def smoother_summary(
+    team: TeamSmoother, unused_topics: Mapping[str, int], settings: RunSettings
+) -> dict[str, Any]:
     """Return the content of ``summary.json`` for a run of the smoother."""
     return {
         **_input_figures(
@@ -52,7 +53,7 @@ def smoother_summary(team: TeamSmoother, inputs: Inputs, settings: RunSettings) 
         'not_in_map': team.not_in_map(),
         'landmarks': team.solution.landmarks_in_map(),
         'between_keyframes': dict(team.between_keyframes),
-        'unused_topics': dict(inputs.unused),
+        'unused_topics': dict(unused_topics),
         **_errors(team.scores(), _smoothed_errors(team)),
         **_environment(settings),
     }

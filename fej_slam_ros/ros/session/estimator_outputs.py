@@ -4,16 +4,16 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import count
 
 from fej_slam_ros.core.estimates import PoseEstimate, StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.published_maps import estimator_maps, MapEstimate
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.outputs import (
-    IsWanted, MapEstimate, MAX_PATH, Outputs, Publication, StampedPoses)
+    IsWanted, MAX_PATH, Outputs, Publication, StampedPoses)
 from fej_slam_ros.ros.topic_types import (
     JOINT_COVARIANCE_TOPIC, POSE_WITH_COVARIANCE, relative_topic)
 
@@ -37,16 +37,6 @@ class ThinnedPath:
         if len(self.poses) > MAX_PATH:
             del self.poses[1::2]
             self._stride *= 2
-
-
-def map_estimates(estimator: Estimator) -> Iterator[MapEstimate]:
-    """Yield the map of each frame, ``map`` first; IDs are counted unless robots share them."""
-    own_ids = count(1)
-    shared = estimator.settings.shared_landmark_ids
-    for of_frame in estimator.maps():
-        ids = [id_ if shared else next(own_ids) for _, id_ in of_frame.keys]
-        yield MapEstimate(
-            of_frame.frame, ids, [(key,) for key in of_frame.keys], of_frame.points, of_frame.P)
 
 
 class EstimatorOutputs(Outputs[Estimator]):
@@ -114,7 +104,7 @@ class EstimatorOutputs(Outputs[Estimator]):
         return self._paths[robot].poses
 
     def _maps(self) -> Iterator[MapEstimate]:
-        return map_estimates(self._consumer)
+        return estimator_maps(self._consumer)
 
 
 class NoOutputs(EstimatorOutputs):

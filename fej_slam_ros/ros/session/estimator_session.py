@@ -20,9 +20,10 @@ from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.files.run_summary import estimator_summary
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import ParameterChange, RunSettings
+from fej_slam_ros.ros.published_maps import estimator_maps
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_log import EstimatorLog
-from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs, map_estimates
+from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication, rejections
@@ -82,12 +83,12 @@ class EstimatorSession(Session):
     def write_files(self) -> dict[str, Any]:
         content = {
             'state_hash': self.state_hash(),
-            **estimator_summary(self.estimator, self.inputs, self.settings),
+            **estimator_summary(self.estimator, self.inputs.unused, self.settings),
             'parameter_changes': [change.as_json() for change in self.changes], **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
             self._files.complete(
-                (), map_estimates(self.estimator), shared_ids, summary=content)
+                (), estimator_maps(self.estimator), shared_ids, summary=content)
         return content
 
     def check_starts(self, messages: MissedMessages) -> None:

@@ -4,7 +4,6 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -15,9 +14,10 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import LandmarkKey, NS
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import markers, Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.published_maps import MapEstimate
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.topic_types import (
     LANDMARKS_TOPIC, MARKERS_TOPIC, OUTPUT_TYPES, REJECTIONS_TOPIC, ROBOT_OUTPUT_TYPES, TF,
@@ -33,18 +33,6 @@ Publication = tuple[str, Message]
 IsWanted = Callable[[str], bool]
 StampedPoses = Sequence[tuple[int, Array]]
 ConsumerT = TypeVar('ConsumerT', bound=Estimator | TeamSmoother)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MapEstimate:
-    """The landmarks of one frame."""
-
-    frame: str  #: its name
-    ids: list[int]  #: published ID of each landmark
-    #: robots and their IDs for each landmark; with shared IDs the robot is ''
-    keys: list[tuple[LandmarkKey, ...]]
-    points: Array  #: (n, 2) array, positions [m]
-    P: Array  #: (n, 2, 2) array, their covariances [m^2]
 
 
 class Outputs(ABC, Generic[ConsumerT]):

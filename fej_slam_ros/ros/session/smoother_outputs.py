@@ -3,27 +3,14 @@
 """Smoothed trajectories and maps to messages on topics, for live topics and bags."""
 
 from collections.abc import Iterator, Mapping
-from itertools import count
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
-from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.published_maps import MapEstimate, smoother_maps
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import MapEstimate, Outputs, Publication, StampedPoses
+from fej_slam_ros.ros.session.outputs import Outputs, Publication, StampedPoses
 from fej_slam_ros.ros.topic_types import SMOOTHED_ROBOT_TYPES, SMOOTHED_TEAM_TYPES
-
-
-def smoothed_estimates(solution: TeamMap, shared_ids: bool) -> Iterator[MapEstimate]:
-    """Yield the map of each frame; IDs are counted unless robots share them."""
-    own_ids = count(1)
-    for solved in solution.maps:
-        keys = [tuple(sorted(names, key=_by_id)) for names in solved.landmarks]
-        order = sorted(range(len(keys)), key=lambda k: _by_id(keys[k][0]))
-        ids = [keys[k][0][1] if shared_ids else next(own_ids) for k in order]
-        yield MapEstimate(
-            solved.frame, ids, [keys[k] for k in order], solved.points[order], solved.P[order])
 
 
 class SmootherOutputs(Outputs[TeamSmoother]):
@@ -71,9 +58,4 @@ class SmootherOutputs(Outputs[TeamSmoother]):
         return [*zip(trajectory.stamps, trajectory.poses())]
 
     def _maps(self) -> Iterator[MapEstimate]:
-        team = self._consumer
-        return smoothed_estimates(team.solution, team.settings.shared_landmark_ids)
-
-
-def _by_id(key: LandmarkKey) -> tuple[int, str]:
-    return key[1], key[0]
+        return smoother_maps(self._consumer)

@@ -26,14 +26,14 @@ from fej_slam_ros.ros.files import checkpoint
 from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.files.run_summary import smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.published_maps import smoother_maps
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages
 from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.session import FilesOpener, Session
 from fej_slam_ros.ros.session.smoother_diagnostics import SmootherDiagnostics
 from fej_slam_ros.ros.session.smoother_log import SmootherLog
-from fej_slam_ros.ros.session.smoother_outputs import smoothed_estimates, SmootherOutputs
-
+from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs
 
 #: A function of plain values, which may take long, and its argument.
 Solving = tuple[Callable[[Any], Any], Any]
@@ -148,15 +148,15 @@ class SmootherSession(Session):
     def write_files(self) -> dict[str, Any]:
         content = {
             'state_hash': self.state_hash(),
-            **smoother_summary(self.team, self.inputs, self.settings), **self.source}
+            **smoother_summary(self.team, self.inputs.unused, self.settings), **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
             poses = chain.from_iterable(
                 trajectory.estimates() for name, trajectory in self.team.trajectories.items()
                 if self.team.is_smoothed(name))
             self._files.complete(
-                poses, smoothed_estimates(self.team.solution, shared_ids), shared_ids,
-                summary=content, alignment=self.alignment())
+                poses, smoother_maps(self.team), shared_ids, summary=content,
+                alignment=self.alignment())
         return content
 
     def alignment(self) -> dict[str, Any]:

@@ -199,7 +199,7 @@ def test_errors_against_ground_truth_are_those_of_the_summary():
 
     report = statuses(run.diagnostics, NOW)
 
-    expected = estimator_summary(run.estimator, run.inputs, run.settings)
+    expected = estimator_summary(run.estimator, run.inputs.unused, run.settings)
     for name in ('r1', 'r2'):
         _, _, values = report[name]
         assert float(values['nees']) == pytest.approx(expected['nees'][name], abs=5e-4)
