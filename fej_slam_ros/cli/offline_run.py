@@ -107,6 +107,46 @@ class BagSink(Sink[SessionT]):
         self.write([session.diagnostics.report(self.now, at_rest)])
 
 
+class BagRuns(Generic[SessionT]):
+    """
+    Sessions over one bag, each with a folder of its own: DIR, DIR_2, DIR_3, ...
+
+    Parameters
+    ----------
+    arguments : of the command
+    node : name of the node that does the same live
+    names : under which the bag is read
+    begin : creates a session from its settings, its folder, and whether files may be replaced
+
+    Attributes
+    ----------
+    folders : those of the sessions so far
+
+    """
+
+    def __init__(
+        self, arguments: argparse.Namespace, node: str, names: TopicNames,
+        begin: Callable[[RunSettings, Path, bool], SessionT],
+    ) -> None:
+        self._arguments, self._node, self._names, self._begin = arguments, node, names, begin
+        self.folders: list[Path] = []
+
+    def start(self, settings: RunSettings, resources: ExitStack) -> SessionT:
+        """Return a new session, whose incomplete files are deleted with some resources."""
+        output, force = self._arguments.output, self._arguments.force
+        with postponed():
+            if self.folders:
+                path = output.resolve()
+                output = path.with_name(f'{path.name}_{len(self.folders) + 1}')
+            self.folders.append(output)
+            session = self._begin(settings, output, force)
+            resources.callback(session.discard_files)
+        refuse_existing([output / PICTURE], force)
+        session.diagnostics.node_name = self._names.published(self._node)
+        session.source = {'bag': str(self._arguments.bag.resolve()), **self._names.as_dict()}
+        return session
+
+
 def process(
     arguments: argparse.Namespace, settings: RunSettings, node: str,
     begin: Callable[[RunSettings, Path, bool], SessionT],
@@ -115,25 +155,15 @@ def process(
     """
     Run a session over a bag, and a new one after each time jump; yield each with its summary.
 
-    `begin` creates a session from its settings, its folder, and whether files may be replaced.
+    Parameters are those of `BagRuns`; `bag_sink` writes the output bag.
     """
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
     output_bag = arguments.output / 'bag'
     _check(arguments, output_bag)
-    used: list[Path] = []
+    runs = BagRuns(arguments, node, names, begin)
     with ExitStack() as stack:
-        def start(settings: RunSettings) -> SessionT:
-            with postponed():
-                used.append(_folder(arguments.output, len(used) + 1))
-                session = begin(settings, used[-1], arguments.force)
-                stack.callback(session.discard_files)
-            refuse_existing([used[-1] / PICTURE], arguments.force)
-            session.diagnostics.node_name = names.published(node)
-            session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
-            return session
-
-        session = start(settings)
+        session = runs.start(settings, stack)
         _warn_of_changes(session.settings)
         sink: Sink[SessionT] = Sink()
         if arguments.write_bag:
@@ -145,13 +175,13 @@ def process(
             if session.inputs.time_jump_detector.has_ended_run():
                 sink.close(session)
                 yield session, session.write_files()
-                ended, session = session, start(session.next_settings(output=''))
+                ended, session = session, runs.start(session.next_settings(output=''), stack)
                 session.continue_from(ended)
             sink.take(message.received or 0, session, session.take())
         sink.end(session)
         summary = session.write_files()
     yield session, summary
-    for folder in used:
+    for folder in runs.folders:
         _renew_picture(folder, arguments.picture)
 
 
@@ -189,9 +219,3 @@ def _renew_picture(folder: Path, is_wanted: bool) -> None:
         folder / PICTURE, draw_run,
         f'{folder.resolve().name}: estimates in {frame} with 3-sigma ellipses', result,
         [name for name in frames if frames[name] == frame], {}, [])
-
-
-def _folder(first: Path, number: int) -> Path:
-    """Return the output folder of a session: DIR, DIR_2, DIR_3, ..."""
-    path = first.resolve()
-    return first if number == 1 else path.with_name(f'{path.name}_{number}')
