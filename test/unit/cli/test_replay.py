@@ -79,6 +79,18 @@ def test_replaying_again_gives_the_same_bytes(replay, places):
     assert contents(places[2]) == first
 
 
+def test_each_pass_of_a_bag_that_loops_is_a_run_in_a_folder_of_its_own(replay, places):
+    _, params, output = places
+    write_parameters(params, robots=['r1', 'r2'], on_time_jump='reset', stale_after=0.1)
+    again = [replace(message, received=message.received + 2 * 10**9) for message in SIMULATED]
+
+    status, _, _ = replay([*SIMULATED, *again])
+
+    assert status == 0
+    for folder in (output, output.with_name(f'{output.name}_2')):
+        assert summary_of(folder)['state_hash'] == direct_hash(SIMULATED)
+
+
 def by_kind(message):
     return message.received, message.topic.endswith('landmarks')
 
