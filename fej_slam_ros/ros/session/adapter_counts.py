@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.front_end import RobotCounts
 from fej_slam_ros.ros.session.landmark_ids import LandmarkIds
 from fej_slam_ros.ros.session.object_queue import ObjectQueue, Origin
@@ -62,7 +63,7 @@ class AdapterCounts:
         """Count objects that are not used, with one as an example if it is no link of a robot."""
         self._counts[robot or UNKNOWN_ROBOT]['ignored'] += len(names)
         if not any(
-            self._frames.is_base(other, frame) or self._frames.is_fixed(other, frame)
+            self._frames.names.is_base(other, frame) or self._frames.is_fixed(other, frame)
             for other in self._robots
         ):
             self._ignored[robot] = names[-1]
@@ -94,7 +95,7 @@ class AdapterCounts:
                 f'the frame {frames[0]!r} is that of a map or of odometry: publish detections in'
                 ' the frame of their camera')
         if frames:
-            return _unknown_pose(name, frames[0], self._frames)
+            return _unknown_pose(name, frames[0], self._frames.names)
         if self._ids.conflicts:
             return (
                 f'{len(self._ids.conflicts)} names have no ID of their own, such as'
@@ -127,7 +128,7 @@ class AdapterCounts:
         return f'no detections: publish them on {topics or "/tf"}'
 
 
-def _unknown_pose(name: str, frame: str, of_robots: SensorFrames) -> str:
+def _unknown_pose(name: str, frame: str, names: FrameNames) -> str:
     """Return the sentence on a sensor whose robot, or whose pose on its robot, is unknown."""
     if name == UNKNOWN_ROBOT:
         return (
@@ -137,5 +138,5 @@ def _unknown_pose(name: str, frame: str, of_robots: SensorFrames) -> str:
     if not frame:
         return f'the messages have no frame_id: set it in the detector, or set {name}.sensor_pose'
     return (
-        f'no static transform from the frame {frame!r} to the base frame {of_robots.base(name)!r}:'
+        f'no static transform from the frame {frame!r} to the base frame {names.base(name)!r}:'
         f' publish it on /tf_static, or set {name}.sensor_pose')

@@ -138,7 +138,7 @@ class AdapterSession:
             if message is None:
                 self._counts.reject(name, RejectionReason.BAD_MESSAGE)
             else:
-                self._frames.add_odometry(name, message)
+                self._frames.names.add(name, message)
 
     def _receive_objects(self, name: str, topic: str, arrived: RawMessage) -> None:
         object_format, is_used = self._formats[topic]
@@ -201,7 +201,7 @@ class AdapterSession:
             (self.robots[name].id, name, observation) for name, observation in self._robots(
                 robot, [item for item in near if self._carrier(item.name)], sensor).items()])
         self._counts.add(robot, messages=1, landmarks=len(landmarks), robots=len(robots))
-        frame, ids = self._frames.base(robot), [id_ for id_, _, _ in landmarks]
+        frame, ids = self._frames.names.base(robot), [id_ for id_, _, _ in landmarks]
         points, R = _stacked([observation for _, _, observation in landmarks])
         stamp = scan.stamp
         if NO_ID in ids:

@@ -129,7 +129,7 @@ class DetectorSession:
         except incoming.RejectedError as rejected:
             state.rejected_odometry[rejected.reason] += 1
             return
-        self._frames.add_odometry(name, message)
+        self._frames.names.add(name, message)
         state.odometry += 1
         state.detector.add_odometry(record)
         if received is not None:
@@ -164,7 +164,7 @@ class DetectorSession:
         given = self._sensor_poses[name]
         if given is not None:
             return scan, np.array(given), frame
-        pose, base = self._frames.pose(name, frame), self._frames.base(name)
+        pose, base = self._frames.pose(name, frame), self._frames.names.base(name)
         self._detectors[name].note_laser(frame, base, is_known=pose is not None)
         if pose is None:
             return scan, np.zeros(3), frame

@@ -127,7 +127,7 @@ class ObjectQueue:
 
     def _sensor(self, robot: str, frame: str, reported: Array | None) -> Array | None:
         """Return the pose (4, 4) of a sensor, which its message may have; None if unknown."""
-        if frame and self._frames.is_base(robot, frame):
+        if frame and self._frames.names.is_base(robot, frame):
             return np.eye(4) if reported is None else reported
         if self._frames.is_fixed(robot, frame):
             return None

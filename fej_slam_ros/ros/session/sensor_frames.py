@@ -10,7 +10,7 @@ import numpy as np
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.ros.messages import decoded_as, incoming, Message, RawMessage
+from fej_slam_ros.ros.messages import decoded_as, incoming, RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
@@ -19,7 +19,7 @@ from fej_slam_ros.ros.topic_types import STATIC_TF, TF_TYPE
 
 class SensorFrames:
     """
-    Base frames of robots, from their odometry, and poses of sensors, from static transforms.
+    Frames of robots, by name, and poses of sensors in them, from static transforms.
 
     Parameters
     ----------
@@ -28,6 +28,7 @@ class SensorFrames:
 
     Attributes
     ----------
+    names : names of the frames, from the odometry
     topics : types of the topics of static transforms, by topic
     rejected : number of static transforms rejected, by reason
 
@@ -35,11 +36,11 @@ class SensorFrames:
 
     def __init__(self, robots: Mapping[str, RobotSettings], tf_topics: str) -> None:
         self.robots = robots
-        self._names = FrameNames(self, NodeSettings(tf_topics=tf_topics))
-        self._mounts = SensorMounts(self._names)
+        self.names = FrameNames(self, NodeSettings(tf_topics=tf_topics))
+        self._mounts = SensorMounts(self.names)
         self.topics = {
             topic.lstrip('/'): TF_TYPE
-            for name in robots for topic in self._names.static_topics(name)}
+            for name in robots for topic in self.names.static_topics(name)}
         self.rejected: Counter[str] = Counter()
 
     def receive(self, arrived: RawMessage) -> bool:
@@ -55,26 +56,14 @@ class SensorFrames:
         self.rejected.update(reason.value for reason in rejected)
         return True
 
-    def add_odometry(self, robot: str, message: Message) -> None:
-        """Record the base frame of a robot."""
-        self._names.add(robot, message)
-
     def knows_base(self, robot: str) -> bool:
         """Return whether a parameter or odometry has named the base frame of a robot."""
-        return bool(self.robots[robot].base_frame) or self._names.knows_base(robot)
-
-    def is_base(self, robot: str, frame: str) -> bool:
-        """Return whether a frame is the base frame of a robot."""
-        return self._names.is_base(robot, frame)
+        return bool(self.robots[robot].base_frame) or self.names.knows_base(robot)
 
     def is_fixed(self, robot: str, frame: str) -> bool:
         """Return whether a frame is a map or that of the odometry of a robot, hence no sensor."""
-        return frame in {MAP, own_frame(robot), self._names.odometry(robot)}
-
-    def base(self, robot: str) -> str:
-        """Return the base frame of a robot."""
-        return self._names.base(robot)
+        return frame in {MAP, own_frame(robot), self.names.odometry(robot)}
 
     def pose(self, robot: str, frame: str) -> Array | None:
         """Return the transform (4, 4) of a frame to the base frame of a robot, None if unknown."""
-        return np.eye(4) if self.is_base(robot, frame) else self._mounts.pose(robot, frame)
+        return np.eye(4) if self.names.is_base(robot, frame) else self._mounts.pose(robot, frame)
