@@ -92,8 +92,8 @@ class Inputs:
 
     def receive(self, arrived: RawMessage) -> None:
         """Pass on the record in a message, or count its rejection."""
-        if arrived.topic == INITIALPOSE and self.robot_of_initialpose() is not None:
-            arrived = replace(arrived, topic=f'{self.robot_of_initialpose()}/set_pose')
+        if arrived.topic == INITIALPOSE and (robot := self.robot_of_initialpose()) is not None:
+            arrived = replace(arrived, topic=f'{robot}/set_pose')
         name, _, kind = arrived.topic.rpartition('/')
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
@@ -104,17 +104,7 @@ class Inputs:
         elif name not in self._consumer.robots:
             self._reject(name, arrived.received or 0, RejectionReason.UNKNOWN_ROBOT)
         else:
-            statistics = self._consumer.statistics
-            rejected = statistics.rejected.get(name, 0)
-            message = None
-            if not self._is_too_large(name, kind, arrived):
-                message = self._decoded(name, arrived, self.robot_topics[kind])
-            if message is not None:
-                self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
-            is_rejected = statistics.rejected.get(name, 0) > rejected
-            self.health.receive(
-                name, kind, arrived.received,
-                statistics.rejections[-1].reason if is_rejected else None)
+            self._receive_from_robot(name, kind, arrived)
 
     def robot_of_initialpose(self) -> str | None:
         """Return the robot that `INITIALPOSE` is for, None if it is not used."""
@@ -177,6 +167,19 @@ class Inputs:
         for robot, scans in stored['waiting_scans'].items():
             self._waiting_scans[robot] = [
                 (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
+
+    def _receive_from_robot(self, name: str, kind: str, arrived: RawMessage) -> None:
+        """Pass on a message on a topic of a robot, and note whether it is rejected."""
+        statistics = self._consumer.statistics
+        rejected_before = statistics.rejected.get(name, 0)
+        if not self._is_too_large(name, kind, arrived):
+            message = self._decoded(name, arrived, self.robot_topics[kind])
+            if message is not None:
+                self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
+        is_rejected = statistics.rejected.get(name, 0) > rejected_before
+        self.health.receive(
+            name, kind, arrived.received,
+            statistics.rejections[-1].reason if is_rejected else None)
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         message = decoded_as(arrived, type_name)
