@@ -1,13 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Data association of observations without IDs.
+Joint compatibility: the landmarks of all observations of a scan without IDs, matched together.
 
-All observations of a scan are matched together, because they share the error of the pose: joint
-compatibility, [Neira] Neira, Tardos, Data association in stochastic mapping using the joint
-compatibility test, 2001. A hypothesis is a set of pairs of observations and landmarks; all other
-observations are of unknown objects. If the pose is uncertain, a single pair carries little
-information, but several pairs that agree carry much.
+The observations share the error of the pose, [Neira] Neira, Tardos, Data association in stochastic
+mapping using the joint compatibility test, 2001. A hypothesis is a set of pairs of observations
+and landmarks; all other observations are of unknown objects. If the pose is uncertain, a single
+pair carries little information, but several pairs that agree carry much.
 
 An ambiguous match is worse than none: if another hypothesis is nearly as likely, an observation is
 used neither for a landmark of the map nor for a new one.

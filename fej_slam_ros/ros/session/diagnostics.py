@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Diagnostics (REP-107): input of each robot, quality of service, files, and their report."""
+"""Diagnostics (REP-107): conditions of a node, and the report on these, its run and the input."""
 
 from abc import ABC, abstractmethod
 from collections import Counter, deque

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of the sensors of some robots, for detectors and adapters."""
+"""Frames of robots and their sensors, from messages that a detector or adapter receives."""
 
 from collections import Counter
 from collections.abc import Mapping

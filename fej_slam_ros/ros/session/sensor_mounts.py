@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Poses of sensors on their robots, from static transforms."""
+"""Static transforms of robots, composed to the poses of their sensors in the base frames."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import partial
