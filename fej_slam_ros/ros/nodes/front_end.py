@@ -23,9 +23,10 @@ from fej_slam_ros.ros.nodes.ros_process import MAX_LAST_STEPS_TIME, ros
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.parameters.schema import flat_values
-from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD, IncompatibleQos, NO_CLOCK
+from fej_slam_ros.ros.session.diagnostics import DIAGNOSTICS_PERIOD
 from fej_slam_ros.ros.session.front_end import FrontEnd, report
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
+from fej_slam_ros.ros.session.node_conditions import IncompatibleQos, NO_CLOCK
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.topic_types import TF_TYPE
 

@@ -9,8 +9,8 @@ from rclpy.node import Node
 
 from fej_slam_ros.ros.nodes.node_files import NodeFiles
 from fej_slam_ros.ros.nodes.topics import NodeTopics
-from fej_slam_ros.ros.session.diagnostics import (
-    also_published, Diagnostics, NO_CLOCK, NodeConditions)
+from fej_slam_ros.ros.session.diagnostics import Diagnostics
+from fej_slam_ros.ros.session.node_conditions import also_published, NO_CLOCK, NodeConditions
 
 #: Time of the machine [s] for which simulated time may stand still.
 CLOCK_PATIENCE = 5.0

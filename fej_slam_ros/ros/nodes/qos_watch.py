@@ -10,7 +10,7 @@ from rclpy.node import Node
 from rclpy.qos import qos_check_compatible, QoSCompatibility, QoSProfile
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
-from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
+from fej_slam_ros.ros.session.node_conditions import IncompatibleQos
 
 #: Policies that can make a publisher and a subscription incompatible.
 CHECKED_POLICIES = ('reliability', 'durability', 'deadline', 'liveliness')

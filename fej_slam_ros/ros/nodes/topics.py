@@ -15,8 +15,8 @@ from fej_slam_ros.ros.nodes.first_messages import FirstMessages
 from fej_slam_ros.ros.nodes.managed_node import ManagedNode
 from fej_slam_ros.ros.nodes.qos import INPUT_DEPTH, input_qos, output_qos, overridable
 from fej_slam_ros.ros.nodes.qos_watch import QosWatch
-from fej_slam_ros.ros.session.diagnostics import IncompatibleQos
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
+from fej_slam_ros.ros.session.node_conditions import IncompatibleQos
 from fej_slam_ros.ros.session.outputs import Publication
 
 #: Time [s] for which Fast DDS may list the publishers of a killed node, and some more.

@@ -10,10 +10,10 @@ from scipy.stats import chi2
 
 from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.ros.files.run_summary import estimator_summary
-from fej_slam_ros.ros.session.diagnostics import NodeConditions
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.input_faults import TopicPublishers
+from fej_slam_ros.ros.session.node_conditions import NodeConditions
 from fej_slam_ros.ros.topic_types import ODOMETRY
 from helpers.records import MS, odometry, robot_scan, scan
 from helpers.ros import (
