@@ -58,6 +58,7 @@ def in_core(*others: str) -> Rule:
     return Rule(f'{BASIC} {parts}', NO_SIDE_EFFECTS)
 
 
+ABOVE_FILES = 'fej_slam_ros.ros.doctor fej_slam_ros.ros.nodes fej_slam_ros.ros.session'
 NO_ALGEBRA = 'numpy.dot numpy.einsum numpy.linalg numpy.matmul operator.matmul scipy'
 #: The rule of a module is that of the first entry with which its path begins.
 RULES = {
@@ -106,7 +107,13 @@ RULES = {
     'evaluation/': Rule(
         f'{CORE} fej_slam_ros.evaluation fej_slam_ros.figure_files fej_slam_ros.palette '
         'fej_slam_ros.tables matplotlib'),
-    'ros/files/run_results.py': Rule(f'{ROS} fej_slam_ros.evaluation.run_result'),
+    'ros/files/run_results.py': Rule(
+        f'{ROS} fej_slam_ros.evaluation.run_result', ABOVE_FILES),
+    # It restores the inputs of a run.
+    'ros/files/checkpoint.py': Rule(ROS, 'fej_slam_ros.ros.nodes'),
+    'ros/files/': Rule(ROS, ABOVE_FILES),
+    'ros/messages/': Rule(ROS, ABOVE_FILES),
+    'ros/parameters/': Rule(ROS, ABOVE_FILES),
     'ros/nodes/simulator.py': Rule(f'{ROS} fej_slam_ros.sim', NO_ALGEBRA),
     'ros/nodes/foxglove.py': Rule(f'{ROS} foxglove', NO_ALGEBRA),
     'ros/nodes/': Rule(ROS, NO_ALGEBRA),
