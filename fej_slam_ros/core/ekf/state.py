@@ -162,15 +162,28 @@ class VariableSet:
         landmark.rotation_owner, self._heading_owners = robot.name, None
 
     def _add(self, variable: Variable) -> None:
+        if isinstance(variable, Landmark):
+            self.landmarks[variable.key] = variable
+            self._landmark_positions = None
+            self._add_heading_owner(variable)
+            return
         self._heading_owners = None
         if isinstance(variable, Robot):
             self.robots[variable.name] = variable
             self._headings = None
-        elif isinstance(variable, Landmark):
-            self.landmarks[variable.key] = variable
-            self._landmark_positions = None
         else:
             self.rendezvous_points[variable.key] = variable
+
+    def _add_heading_owner(self, landmark: Landmark) -> None:
+        """Add a new landmark to `heading_owners`, which take long to make for a large map."""
+        if self._heading_owners is None:
+            return
+        positions, owner, headings = self._heading_owners
+        heading = self.heading_of(landmark.rotation_owner)
+        if heading is not None:
+            self._heading_owners = (
+                np.concatenate([positions, landmark.slot.indices[None]]),
+                np.append(owner, np.searchsorted(headings, heading)), headings)
 
     def _discard(self, variable: Variable) -> None:
         self._heading_owners = self._headings = self._landmark_positions = None

@@ -122,6 +122,17 @@ def test_points_turn_with_their_first_observer_except_a_prior_map():
         **PRIOR, 'r1': 'r1', ('', 1): 'r1', 'r2': 'r2', ('', 2): 'r2', PLACE: 'r2'}
 
 
+def test_landmarks_that_start_later_turn_with_their_observer_too():
+    state = owned()
+    before = turned_by(state)
+
+    for key, name in ((('', 3), 'r2'), (('', 4), 'r1')):
+        state.augment(
+            key, state.robots[name], np.zeros(2), np.zeros((2, 3)), np.eye(2))
+
+    assert turned_by(state) == before | {('', 3): 'r2', ('', 4): 'r1'}
+
+
 @pytest.mark.parametrize(('sigma', 'robot'), [(0.09, 'r1'), (0.11, 'r3')])
 def test_landmarks_turn_with_others_after_long_turns_unseen(sigma, robot):
     team, filter_ = mapped('invariant')
