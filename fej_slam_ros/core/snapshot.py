@@ -40,7 +40,7 @@ from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate, InflatingGate, ScanGateStatistics
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence, TentativeEvidence
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Ideal, Invariant, Standard
-from fej_slam_ros.core.ekf.outside_points import StillPoints, TurningPoints
+from fej_slam_ros.core.ekf.outside_points import OutsidePoints, TurningPoints
 from fej_slam_ros.core.ekf.state import JointState, Landmark, RendezvousPoint, Robot
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.estimator import Estimator
@@ -76,7 +76,7 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     Estimator, FrameGroups, FrameGroup, TeamJoiner, InnovationMonitor, Quarantine,
     Sequencer, RobotQueue, ReleaseKey, OdometryIncrements, Speeds, RecordMemory, PosePriors,
     InputStatistics,
-    Filter, JointState, Covariance, CompressedCovariance, StillPoints,
+    Filter, JointState, Covariance, CompressedCovariance, OutsidePoints,
     TurningPoints, SymmetricMatrix, Slot, Robot, Landmark,
     RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate,
     ScanGateStatistics,

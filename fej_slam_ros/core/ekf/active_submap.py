@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
-from fej_slam_ros.core.ekf.outside_points import StillPoints, TurningPoints
+from fej_slam_ros.core.ekf.outside_points import OutsidePoints, TurningPoints
 from fej_slam_ros.core.ekf.state import JointState, position_indices, Variable
 from fej_slam_ros.core.geometry import Indices
 
@@ -68,7 +68,7 @@ class ActiveSubmap:
         if submap is None:
             whole.updates_without_submap = RETRY_UPDATES
         else:
-            outside = StillPoints() if not self.are_turned else TurningPoints(
+            outside = OutsidePoints() if not self.are_turned else TurningPoints(
                 state.landmark_positions(),
                 [landmark.rotation_owner for landmark in state.landmarks.values()],
                 len(whole.matrix.lower))

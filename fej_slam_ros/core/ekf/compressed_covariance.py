@@ -32,7 +32,7 @@ import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows, Transport)
-from fej_slam_ros.core.ekf.outside_points import OutsidePoints, StillPoints
+from fej_slam_ros.core.ekf.outside_points import OutsidePoints
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.ekf.whitening import whiten, Whitening
 from fej_slam_ros.core.geometry import Array, Flags, Indices
@@ -48,7 +48,7 @@ LEAVING_RATE = 16.0
 MAX_DIRECT = 2e9
 
 
-STILL_POINTS = StillPoints()
+STILL_POINTS = OutsidePoints()
 
 
 class CompressedCovariance:
@@ -271,7 +271,7 @@ class CompressedCovariance:
         P.settle()
         g, capacity = len(self._proxies), len(self._whole.matrix.lower)
         C = self._C[:, :g] if len(self._C) == capacity else _extended(self._C, capacity, g)
-        change = self._outside.change(C, self._minus_learnt(), may_end)
+        change = self._outside.change(C, self._minus_learnt(), self._prior, may_end)
         P_gA = P.at(self._proxies[:, None], core)
         P_A, dx = product(P_gA.T, C.T, may_end).T, np.zeros(n)  # 2 n a (members)
         dx[:len(self._C)] = self._outside.correction(slice(n), self._C[:, :g], self._dg)

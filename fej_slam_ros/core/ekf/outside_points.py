@@ -27,8 +27,8 @@ from fej_slam_ros.core.geometry import Array, Indices, mean_rotation, perpendicu
 from fej_slam_ros.core.pieces import pause, product
 
 
-class StillPoints:
-    """Points outside whose errors do not change with the estimate."""
+class OutsidePoints:
+    """Points outside, whose errors do not change with the estimate."""
 
     are_turned = False  #: whether corrections turn them, which may let their covariance grow
 
@@ -41,12 +41,14 @@ class StillPoints:
         dx: Array = C[states] @ dg
         return dx
 
-    def change(self, C: Array, D: Array, may_end: bool) -> Callable[[SymmetricMatrix], None]:
+    def change(
+        self, C: Array, D: Array, first: Array, may_end: bool
+    ) -> Callable[[SymmetricMatrix], None]:
         """
         Return what adds C D C^T to a matrix, for the change D (p, p) of the proxies' covariance.
 
-        D is minus what was learnt, of rank r. This takes p^3 / 3 + 2 n p r flops, then n^2 r. If
-        it may end early, it raises EndedError then.
+        Their `first` variances (p,) are 1, and D is minus what was learnt, of rank r. This takes
+        p^3 / 3 + 2 n p r flops, then n^2 r. If it may end early, it raises EndedError then.
 
         """
         learnt = -D
@@ -60,7 +62,7 @@ class StillPoints:
         """Remove some states."""
 
 
-class TurningPoints:
+class TurningPoints(OutsidePoints):
     """
     Points outside that corrections turn with robots.
 
@@ -102,10 +104,21 @@ class TurningPoints:
         dx: Array = self._dx[states]
         return dx
 
-    def change(self, C: Array, D: Array, may_end: bool) -> Callable[[SymmetricMatrix], None]:
-        """Return the same as for other points, in 2 n p^2 flops, then 2 n^2 p."""
-        B = product(0.5 * D, C.T, may_end).T
-        return partial(add_products, V=C, B=B)
+    def change(
+        self, C: Array, D: Array, first: Array, may_end: bool
+    ) -> Callable[[SymmetricMatrix], None]:
+        """Return the same with c copies, whose first variances are 0: 2 n^2 c flops more."""
+        g, copies = np.flatnonzero(first), np.flatnonzero(first == 0.0)
+        learn = super().change(C[:, g], D[np.ix_(g, g)], first[g], may_end)
+        # C D C^T = C_g D_gg C_g^T + V B^T + B V^T with V = C_c, B = C_g D_gc + 1/2 C_c D_cc.
+        V, D_c = np.asfortranarray(C[:, copies]), D[:, copies]
+        D_c[copies] *= 0.5
+        B = product(D_c.T, C.T, may_end).T
+
+        def apply(matrix: SymmetricMatrix) -> None:
+            learn(matrix)
+            add_products(matrix, V, B)
+        return apply
 
     def remove(self, states: Indices) -> None:
         """Remove some states."""
@@ -113,6 +126,3 @@ class TurningPoints:
         kept, place = ~np.isin(self._points[:, 0], states), np.cumsum(~np.isin(rows, states)) - 1
         self._points, self._owner_of = place[self._points[kept]], self._owner_of[kept]
         self._dx = np.delete(self._dx, states[states < len(rows)])
-
-
-OutsidePoints = StillPoints | TurningPoints
