@@ -28,7 +28,7 @@ from fej_slam_ros.core.pieces import pause, product
 
 
 class OutsidePoints:
-    """Points outside, whose errors do not change with the estimate."""
+    """Points outside, here of a filter whose errors do not change with the estimate."""
 
     are_turned = False  #: whether corrections turn them, which may let their covariance grow
 
@@ -37,7 +37,7 @@ class OutsidePoints:
         return iter(())
 
     def correction(self, states: Indices | slice, C: Array, dg: Array) -> Array:
-        """Return that of some states (k,), by C (rows, p) and that of the proxies (p,)."""
+        """Return by how much states are corrected, (k,), by C (rows, p) and dg of proxies (p,)."""
         dx: Array = C[states] @ dg
         return dx
 
@@ -100,7 +100,7 @@ class TurningPoints(OutsidePoints):
                 yield heading, J_df
 
     def correction(self, states: Indices | slice, C: Array, dg: Array) -> Array:
-        """Return that of some states (k,), which `turn` has added up."""
+        """Return by how much states are corrected, (k,), which `turn` has added up."""
         dx: Array = self._dx[states]
         return dx
 
