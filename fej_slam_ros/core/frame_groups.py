@@ -8,7 +8,7 @@ of its own, ``<robot>/map``, with the same filter, until its frame group joins a
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -284,8 +284,7 @@ class FrameGroups:
         return Filter(
             JointState(), policy(truth), _gate(settings),
             settings.shared_landmark_ids, settings.update_iterations or policy.default_iterations,
-            replace(AROUND_ROBOTS, are_turned=policy.turns_points) if settings.compressed
-            else WHOLE_MAP)
+            AROUND_ROBOTS if settings.compressed else WHOLE_MAP)
 
 
 def _gate(settings: Settings) -> Gate:

@@ -59,16 +59,16 @@ def perpendicular(vectors: Array) -> Array:
     return turned
 
 
-def mean_rotation(theta: Array, of: Indices, vectors: Array) -> Array:
+def mean_rotation(theta: Array, angle_of: Indices, vectors: Array) -> Array:
     """
     Return V(theta) v of vectors (m, 2), where V is the mean of C over the angles from 0 to theta.
 
-    Angles theta (k,) are those of the vectors by their indices `of` (m,).
+    The angle [rad] of each vector is theta (k,) at its index `angle_of` (m,).
 
     """
-    along = np.sinc(theta / np.pi)[of, None]
+    along = np.sinc(theta / np.pi)[angle_of, None]
     # (1 - cos theta) / theta
-    across = (0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2)[of, None]
+    across = (0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2)[angle_of, None]
     rotated: Array = along * vectors + across * perpendicular(vectors)
     return rotated
 

@@ -374,33 +374,52 @@ static void copy_numbers(PyObject *object, Py_ssize_t size, double *numbers)
     Py_XDECREF(array);
 }
 
+/* Set the states of a variable of a size from its first one. */
+static void set_states(PyObject *first, Py_ssize_t size, Py_ssize_t *states)
+{
+    Py_ssize_t start = PyNumber_AsSsize_t(first, PyExc_OverflowError);
+    if (!PyErr_Occurred() && (start < 0 || start > PY_SSIZE_T_MAX - size))
+        PyErr_SetString(PyExc_ValueError, "no index of a state");
+    for (Py_ssize_t k = 0; k < size && !PyErr_Occurred(); k++)
+        states[k] = start + k;
+}
+
 /* stacked(observers, observed, z, R): states, z, R */
 static PyObject *stacked(PyObject *module, PyObject *const *lists, Py_ssize_t given)
 {
-    for (Py_ssize_t i = 0; i < 4; i++)
-        if (given != 4 || !PyList_Check(lists[i])
-                || PyList_GET_SIZE(lists[i]) != PyList_GET_SIZE(lists[0])) {
+    /* Tuples, since converting an element may run code that changes the lists. */
+    PyObject *tuples = PyTuple_New(4), *columns[4] = {NULL};
+    for (Py_ssize_t i = 0; tuples && i < 4 && !PyErr_Occurred(); i++) {
+        columns[i] = given == 4 && PyList_Check(lists[i]) ? PyList_AsTuple(lists[i]) : NULL;
+        if (columns[i])
+            PyTuple_SET_ITEM(tuples, i, columns[i]);
+        if (!PyErr_Occurred() && (!columns[i]
+                || PyTuple_GET_SIZE(columns[i]) != PyTuple_GET_SIZE(columns[0])))
             PyErr_SetString(PyExc_TypeError, "four lists of equal length expected");
-            return NULL;
-        }
+    }
+    if (PyErr_Occurred()) {
+        Py_XDECREF(tuples);
+        return NULL;
+    }
     Arrays a = {.count = 0, .taken = 0};
-    npy_intp m = PyList_GET_SIZE(lists[0]), shape[] = {m, STATES};
+    npy_intp m = PyTuple_GET_SIZE(columns[0]), shape[] = {m, STATES};
     PyObject *states = PyArray_EMPTY(2, shape, NPY_INTP, 0);
     double *z = matrix(&a, m, 2, 0), *R = blocks(&a, m, 2, 2);
-    Py_ssize_t *state = states ? PyArray_DATA((PyArrayObject *)states) : NULL;
 
-    for (Py_ssize_t i = 0; i < m && !PyErr_Occurred(); i++, state += STATES) {
-        state[0] = PyLong_AsSsize_t(PyList_GET_ITEM(lists[0], i));
-        state[POSE] = PyLong_AsSsize_t(PyList_GET_ITEM(lists[1], i));
-        state[1] = state[0] + 1;
-        state[2] = state[0] + 2;
-        state[POSE + 1] = state[POSE] + 1;
-        copy_numbers(PyList_GET_ITEM(lists[2], i), 2, z + 2 * i);
-        copy_numbers(PyList_GET_ITEM(lists[3], i), 4, R + 4 * i);
+    for (Py_ssize_t i = 0; i < m && !PyErr_Occurred(); i++) {
+        Py_ssize_t *state = (Py_ssize_t *)PyArray_DATA((PyArrayObject *)states) + STATES * i;
+        set_states(PyTuple_GET_ITEM(columns[0], i), POSE, state);
+        if (!PyErr_Occurred())
+            set_states(PyTuple_GET_ITEM(columns[1], i), STATES - POSE, state + POSE);
+        if (!PyErr_Occurred())
+            copy_numbers(PyTuple_GET_ITEM(columns[2], i), 2, z + 2 * i);
+        if (!PyErr_Occurred())
+            copy_numbers(PyTuple_GET_ITEM(columns[3], i), 4, R + 4 * i);
     }
     PyObject *returned = PyErr_Occurred() ? NULL : Py_BuildValue(
         "OOO", states, a.array[0], a.array[1]);
     Py_XDECREF(states);
+    Py_DECREF(tuples);
     release(&a);
     return returned;
 }
@@ -623,7 +642,7 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
     int stored = (int)length(&a, 0, 0), k = (int)length(&a, 0, 1), step = 1, failed_at = 0;
     int rows = (int)length(&a, 3, 0), n = (int)a.number[0];
     if (!fit(&a, is_matrix(&a, 1, rows, k) && is_matrix(&a, 2, rows, rows)
-                 && n >= 0 && n <= stored))
+                 && a.number[0] >= 0 && a.number[0] <= stored))
         return NULL;
     double *dx = vector(&a, n), *y = vector(&a, rows), *W = matrix(&a, n, rows, 1);
     double log_det = 0.0;
@@ -662,7 +681,8 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
     double *lower = data(&a, 0), *W = data(&a, 1), one = 1.0, minus = -1.0;
     int capacity = (int)length(&a, 0, 0), stored = (int)length(&a, 1, 0);
     int k = (int)length(&a, 1, 1), n = (int)a.number[0];
-    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && n >= 0 && n <= capacity && n <= stored))
+    if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && a.number[0] >= 0
+                 && a.number[0] <= capacity && a.number[0] <= stored))
         return NULL;
 
     Py_BEGIN_ALLOW_THREADS

@@ -31,16 +31,14 @@ class ActiveSubmap:
     ----------
     min_states : size of the joint state from which a submap is used
     landmarks_per_robot : number of nearest landmarks of each robot in the submap
-    are_turned : whether a correction turns points with robots
 
     """
 
     min_states: float
     landmarks_per_robot: int
-    are_turned: bool = False
 
     def ensure_contains(
-        self, state: JointState, observed: Indices, may_end: bool = False
+        self, state: JointState, observed: Indices, turns_points: bool, may_end: bool = False
     ) -> None:
         """
         Let observed states enter the active submap, or re-centre it if that pays.
@@ -49,6 +47,7 @@ class ActiveSubmap:
         ----------
         state : its covariance becomes that of a submap, or of all states if there are few
         observed : indices of the observed states, in any shape
+        turns_points : whether corrections turn points with robots, as of the linearisation policy
         may_end : whether to raise EndedError, and change nothing, if the process ends meanwhile
 
         """
@@ -68,7 +67,7 @@ class ActiveSubmap:
         if submap is None:
             whole.updates_without_submap = RETRY_UPDATES
         else:
-            outside = OutsidePoints() if not self.are_turned else TurningPoints(
+            outside = OutsidePoints() if not turns_points else TurningPoints(
                 state.landmark_positions(),
                 [landmark.rotation_owner for landmark in state.landmarks.values()],
                 len(whole.matrix.lower))

@@ -48,9 +48,6 @@ LEAVING_RATE = 16.0
 MAX_DIRECT = 2e9
 
 
-STILL_POINTS = OutsidePoints()
-
-
 class CompressedCovariance:
     """
     A joint covariance of which only a submap is propagated and updated.
@@ -66,9 +63,7 @@ class CompressedCovariance:
 
     """
 
-    def __init__(
-        self, whole: Covariance, members: Indices, outside: OutsidePoints = STILL_POINTS
-    ) -> None:
+    def __init__(self, whole: Covariance, members: Indices, outside: OutsidePoints) -> None:
         # States outside are read often from now on.
         whole.matrix.settle()
         self._whole = whole
@@ -77,7 +72,7 @@ class CompressedCovariance:
         self._core = Covariance()
         self._core_index = np.full(whole.dimension, -1)
         self._members = self._proxies = np.empty(0, np.intp)
-        #: C in Fortran order, with zero rows for states and zero columns for proxies to come
+        #: C with zero rows for states and zero columns for proxies to come
         self._C = np.zeros((len(whole.matrix.lower), 0), order='F')
         #: first variance of the proxies, and their correction, which `transport` has used up
         self._prior = self._dg = np.empty(0)
@@ -113,7 +108,7 @@ class CompressedCovariance:
 
         """
         n, a, members = self.dimension, len(self._proxies), len(self._members)
-        leaving = n * a * (n + 2 * (a + members))
+        leaving = n * a * (n + 2 * (a + members)) + self._outside.added_flops(n)
         if LEAVING_RATE * self._flops_of_growth >= leaving:
             return None
         if self._contains(indices):
@@ -198,11 +193,16 @@ class CompressedCovariance:
         return P + np.where(both, self._whole.blocks(indices), 0.0)
 
     def variance_bounds(self, indices: Indices) -> Array:
-        """Return upper bounds (k,) of the traces of `blocks`: outside, those from the start."""
-        if self._outside.are_turned:
-            traces: Array = np.trace(self.blocks(indices), axis1=1, axis2=2)
-            return traces
+        """
+        Return upper bounds (k,) of the traces of `blocks`.
+
+        Outside, those are the traces at the start, or the traces where corrections turn points.
+
+        """
         variances, inside = self._whole.matrix.at(indices, indices), ~self._is_outside(indices)
+        if self._outside.are_turned:
+            C = self._combination(indices[~inside])
+            variances[~inside] += (product(C, self._minus_learnt()) * C).sum(axis=1)
         in_core = self._core_index[indices[inside]]
         variances[inside] = self._core.matrix.at(in_core, in_core)
         bounds: Array = variances.sum(axis=1)
@@ -262,7 +262,7 @@ class CompressedCovariance:
         """
         Return the covariance of all states and the estimate (n,); this object is of no more use.
 
-        The rank p of I - cov(g) is at most a; the cost is about p n^2 + 2 n a (p + members) flops.
+        With p proxies this takes n p (n + 2 (p + members)) flops, and those that turning adds.
         If it may end early, it raises EndedError then and changes nothing.
 
         """

@@ -68,7 +68,8 @@ class Transport:
 
     columns: Indices  #: (k,) array, the states that E selects
     V: Array  #: (n, k) array
-    dx: Array  #: (n,) array, the correction that it follows, headings not wrapped
+    #: (n,) array, the correction from the prior to the present estimate, headings not wrapped
+    dx: Array
     #: function from an owner of points to the index of the heading that they turn with
     heading_of: Callable[[str], int | None]
 

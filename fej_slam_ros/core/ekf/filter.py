@@ -15,11 +15,11 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
-from fej_slam_ros.core.ekf.joint_covariance import reserve
 from fej_slam_ros.core.ekf.covariance import SparseRows
 from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
     StatisticsByRobot)
+from fej_slam_ros.core.ekf.joint_covariance import reserve
 from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
@@ -164,7 +164,8 @@ class Filter:
             return NO_INNOVATION
         stack, state = stacked(observations), self.state
         try:
-            self.submap.ensure_contains(state, stack.columns, may_end=True)
+            self.submap.ensure_contains(
+                state, stack.columns, self.linearization.turns_points, may_end=True)
         except EndedError:
             return NO_INNOVATION._replace(interrupted=observations)
 
@@ -202,7 +203,7 @@ class Filter:
         """Correct the prior estimate by dx (n,), whose covariance has been updated."""
         state, policy = self.state, self.linearization
         state.x_hat = policy.retract(state, x_prior, dx)
-        transport_errors(policy, state, x_prior)
+        transport_errors(policy, state, x_prior, dx)
 
     def _relinearized(
         self, stack: StackedObservations, x_prior: Array, dx: Array
@@ -217,7 +218,7 @@ class Filter:
         state, policy = self.state, self.linearization
         state.x_hat = policy.retract(state, x_prior, dx)
         H = self._jacobian(stack)
-        A = policy.transport(state, x_prior)
+        A = policy.transport(state, x_prior, dx)
         if A is not None:
             H = H.after(A)
         return (
@@ -298,7 +299,7 @@ class Filter:
     def merge(self, landmark: Landmark, other: Landmark) -> None:
         """Merge the other landmark into the first by an update with their difference, zero."""
         state, (difference, H) = self.state, self.landmark_difference(landmark, other)
-        self.submap.ensure_contains(state, H.columns)
+        self.submap.ensure_contains(state, H.columns, self.linearization.turns_points)
         update = joint_update(state.covariance, H, MERGE_VARIANCE * np.eye(2)[None])
         self._correct(state.x_hat, update.apply(-difference).dx)
         state.remove(other)

@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.covariance import Correction, SparseRows
+from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.pieces import pause, PIECE_FLOPS
 

@@ -129,8 +129,13 @@ class Linearization:
     def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
         """Note which observations an update has used, if error coordinates depend on them."""
 
-    def transport(self, state: JointState, x_prior: Array) -> Transport | None:
-        """Return A that maps errors at x_prior (n,) to errors at x_hat; None for A = I."""
+    def transport(self, state: JointState, x_prior: Array, dx: Array) -> Transport | None:
+        """
+        Return A that maps errors at x_prior (n,) to errors at x_hat; None for A = I.
+
+        dx (n,) is the correction between them, with headings that are not wrapped.
+
+        """
         return None
 
     def _value(self, state: JointState, variable: Variable) -> Array:
@@ -284,11 +289,11 @@ class Invariant(Linearization):
             if isinstance(observed, Landmark) and observed.rotation_owner in turned:
                 state.set_rotation_owner(observed, observer)
 
-    def transport(self, state: JointState, x_prior: Array) -> Transport:
+    def transport(self, state: JointState, x_prior: Array, dx: Array) -> Transport:
         """Return A of equal theta and xi: dp becomes dp + J (p_hat - p_prior) theta."""
         positions, owner, headings = state.heading_owners()
-        V, dx = np.zeros((len(x_prior), len(headings))), state.x_hat - x_prior
-        V[positions, owner[:, None]] = perpendicular(dx[positions])
+        V, moved = np.zeros((len(x_prior), len(headings))), state.x_hat - x_prior
+        V[positions, owner[:, None]] = perpendicular(moved[positions])
         return Transport(headings, V, dx, state.heading_of)
 
 
@@ -297,8 +302,10 @@ LINEARIZATIONS: Mapping[str, type[Linearization]] = {
     'fej': FirstEstimates, 'invariant': Invariant, 'standard': Standard, 'ideal': Ideal}
 
 
-def transport_errors(linearization: Linearization, state: JointState, x_prior: Array) -> None:
+def transport_errors(
+    linearization: Linearization, state: JointState, x_prior: Array, dx: Array
+) -> None:
     """Transform the covariance of errors at x_prior (n,) to that of errors at x_hat."""
-    A = linearization.transport(state, x_prior)
+    A = linearization.transport(state, x_prior, dx)
     if A is not None:
         state.covariance.transport(A)

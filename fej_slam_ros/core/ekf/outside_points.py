@@ -23,7 +23,7 @@ import numpy as np
 from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.symmetric_matrix import add_products, SymmetricMatrix
 from fej_slam_ros.core.ekf.whitening import pivoted_root
-from fej_slam_ros.core.geometry import Array, Indices, mean_rotation, perpendicular, wrap_all
+from fej_slam_ros.core.geometry import Array, Indices, mean_rotation, perpendicular
 from fej_slam_ros.core.pieces import pause, product
 
 
@@ -37,7 +37,7 @@ class OutsidePoints:
         return iter(())
 
     def correction(self, states: Indices | slice, C: Array, dg: Array) -> Array:
-        """Return by how much states are corrected, (k,), by C (rows, p) and dg of proxies (p,)."""
+        """Return by how much k states are corrected, given C (rows, p) and dg (p,)."""
         dx: Array = C[states] @ dg
         return dx
 
@@ -45,10 +45,11 @@ class OutsidePoints:
         self, C: Array, D: Array, first: Array, may_end: bool
     ) -> Callable[[SymmetricMatrix], None]:
         """
-        Return what adds C D C^T to a matrix, for the change D (p, p) of the proxies' covariance.
+        Return a function that adds C D C^T to a matrix.
 
-        Their `first` variances (p,) are 1, and D is minus what was learnt, of rank r. This takes
-        p^3 / 3 + 2 n p r flops, then n^2 r. If it may end early, it raises EndedError then.
+        D (p, p) is the change of the proxies' covariance, minus what was learnt, of rank r; their
+        `first` variances (p,) are 1. This takes p^3 / 3 + 2 n p r flops, then n^2 r. If it may end
+        early, it raises EndedError then.
 
         """
         learnt = -D
@@ -57,6 +58,10 @@ class OutsidePoints:
         pause()
         W = product(root.T, C.T, may_end).T  # in Fortran order
         return partial(SymmetricMatrix.subtract_product, W=W)
+
+    def added_flops(self, n: int) -> int:
+        """Return the flops by which `change` of n states takes longer than without copies."""
+        return 0
 
     def remove(self, states: Indices) -> None:
         """Remove some states."""
@@ -80,34 +85,39 @@ class TurningPoints(OutsidePoints):
         self._owners = sorted({*owners})
         self._points = points
         self._owner_of = np.array([self._owners.index(owner) for owner in owners], np.intp)
-        self._dx = np.zeros(rows)
+        self._dx = np.zeros(rows)  #: sum of the corrections, as turned
+        self._copies = 0  #: number of proxies that are copies of headings
 
     def turn(self, dx: Array, A: Transport) -> Iterator[tuple[int, Array]]:
         """
-        Turn the points as A does those of the submap, by their correction dx (rows,) before.
+        Turn the points as an update turned those of the submap.
 
-        Yields the heading that the points of each owner turn with, and J df (rows, 1) of these.
+        Their correction before they are turned is dx (rows,). Yields each heading that some of
+        them turn with, and J df (rows, 1) of these.
 
         """
-        headings = [A.heading_of(owner) for owner in self._owners]
-        theta = np.array([0.0 if heading is None else A.dx[heading] for heading in headings])
-        df = mean_rotation(wrap_all(theta), self._owner_of, dx[self._points])
+        heading_of = [A.heading_of(owner) for owner in self._owners]
+        headings = sorted({heading for heading in heading_of if heading is not None})
+        theta = np.array([0.0 if heading is None else A.dx[heading] for heading in heading_of])
+        df = mean_rotation(theta, self._owner_of, dx[self._points])
         self._dx[self._points] += df
-        for owner, heading in enumerate(headings):
-            if heading is not None:
-                own, J_df = self._owner_of == owner, np.zeros((len(dx), 1))
-                J_df[self._points[own], 0] = perpendicular(df[own])
-                yield heading, J_df
+        # Points whose owners have left turn with one heading.
+        for heading in headings:
+            own = np.array([heading == other for other in heading_of])[self._owner_of]
+            J_df = np.zeros((len(dx), 1))
+            J_df[self._points[own], 0] = perpendicular(df[own])
+            self._copies += 1
+            yield heading, J_df
 
     def correction(self, states: Indices | slice, C: Array, dg: Array) -> Array:
-        """Return by how much states are corrected, (k,), which `turn` has added up."""
+        """Return by how much k states are corrected, which `turn` has added up."""
         dx: Array = self._dx[states]
         return dx
 
     def change(
         self, C: Array, D: Array, first: Array, may_end: bool
     ) -> Callable[[SymmetricMatrix], None]:
-        """Return the same with c copies, whose first variances are 0: 2 n^2 c flops more."""
+        """Return the same with copies of headings, whose first variances are 0."""
         g, copies = np.flatnonzero(first), np.flatnonzero(first == 0.0)
         learn = super().change(C[:, g], D[np.ix_(g, g)], first[g], may_end)
         # C D C^T = C_g D_gg C_g^T + V B^T + B V^T with V = C_c, B = C_g D_gc + 1/2 C_c D_cc.
@@ -119,6 +129,10 @@ class TurningPoints(OutsidePoints):
             learn(matrix)
             add_products(matrix, V, B)
         return apply
+
+    def added_flops(self, n: int) -> int:
+        """Return the flops by which `change` of n states takes longer: copies count twice."""
+        return n * n * self._copies
 
     def remove(self, states: Indices) -> None:
         """Remove some states."""

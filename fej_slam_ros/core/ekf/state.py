@@ -15,8 +15,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.covariance import Covariance, joint_indices, Slot
+from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence, TentativeEvidence
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import LandmarkKey, NO_ID, PriorMap, RendezvousKey

@@ -63,7 +63,8 @@ def initialize(
         solved = _with_unobserved(solved, prior, known)
     located = _joint_state(solved, state, scans, stamp)
     x_prior = [*(solved.poses | known.poses).values(), *(solved.points | known.points).values()]
-    transport_errors(linearization, located, np.concatenate(x_prior))
+    before = np.concatenate(x_prior)
+    transport_errors(linearization, located, before, located.x_hat - before)
     return located
 
 

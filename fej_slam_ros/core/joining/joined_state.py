@@ -60,7 +60,8 @@ def joined_state(
     pause()
     state = _combined(team, new.variables, x_hat, x_first, np.block([
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
-    transport_errors(linearization, state, np.concatenate([team.estimates(), first]))
+    before = np.concatenate([team.estimates(), first])
+    transport_errors(linearization, state, before, state.x_hat - before)
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
         [key for key in team.rendezvous_points if key in group.rendezvous_points], [state])

@@ -3,7 +3,6 @@
 """A filter that works in a region has the estimate of one that works on everything."""
 
 from copy import copy
-from dataclasses import replace
 import math
 
 import numpy as np
@@ -19,6 +18,7 @@ from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.joint_covariance import lower_rows
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
+from fej_slam_ros.core.ekf.outside_points import OutsidePoints
 from fej_slam_ros.core.ekf.state import JointState, state_of_prior_map
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose
@@ -49,7 +49,7 @@ def whole_and_region(rng, known=()):
         covariance = Covariance()
         slots = covariance.insert(P).split(SIZES)
         covariances.append(covariance)
-    return covariances[0], CompressedCovariance(covariances[1], REGION), slots
+    return covariances[0], CompressedCovariance(covariances[1], REGION, OutsidePoints()), slots
 
 
 def happen(covariance, slots, rng):
@@ -209,7 +209,7 @@ def run(town, regions, linearization, sigma=(0.1, 0.1, 0.01)):
     start, happened = town
     filter_ = Filter(
         JointState(), linearization, Gate(0.999), iterations=linearization.default_iterations,
-        submap=replace(regions, are_turned=linearization.turns_points))
+        submap=regions)
     for name, pose in start.items():
         filter_.state.insert_robot(name, 0, pose, np.diag(sigma) ** 2)
     entered, last = 0, None
@@ -255,6 +255,49 @@ def test_updates_in_blocks_give_the_same_with_submaps_as_with_the_whole_state(
         compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
 
 
+def row_of_landmarks(submap, names=('r1',)):
+    """Return an invariant filter whose robots have each seen a part of a row, and the row."""
+    filter_ = Filter(JointState(), Invariant(), Gate(1.0), submap=submap)
+    points = np.array([[0.5 + 0.2 * k, 0.1 * (k % 3)] for k in range(60)])
+    for name in names:
+        filter_.state.insert_robot(name, 0, np.zeros(3), np.diag([0.1, 0.1, 0.05]) ** 2)
+    for number, part in enumerate(np.array_split(np.arange(60), 3)):
+        name = names[number % len(names)]
+        filter_.step([Motion(name, 0, np.zeros(3), np.diag([0.3, 0.3, 0.2]) ** 2)], [
+            Scan(name, 0, tuple(Observation(int(k), points[k], R) for k in part))])
+    filter_.step([], [Scan(names[0], 0, (Observation(0, points[0], R),))])
+    return filter_, points
+
+
+@pytest.mark.parametrize('turn', [1.0, 3.0, 3.6, 6.0])
+def test_points_outside_turn_as_those_inside_by_corrections_of_more_than_half_a_turn(turn):
+    results = []
+    for submap in (WHOLE_MAP, ActiveSubmap(100, 5)):
+        filter_, points = row_of_landmarks(submap)
+        state = filter_.state
+        filter_.predict(Motion('r1', 1, np.zeros(3), np.diag([1e-4, 1e-4, 1.0])))
+        z = h(state.pose(state.robots['r1'])[None], points[:1])[0]
+        # By one iteration, an observation 0.5 m away corrects the heading by about the turn.
+        filter_.step([], [Scan('r1', 1, (Observation(0, z - np.array([0.0, 0.5 * turn]), R),))])
+        results.append([state.estimates(), state.marginal(state.variables())])
+    assert isinstance(state.covariance, CompressedCovariance)
+
+    for whole, compressed in zip(*results):
+        assert_allclose(compressed, whole, atol=1e-12)
+
+
+def test_points_whose_owners_have_left_share_one_copy_of_a_heading():
+    filter_, points = row_of_landmarks(ActiveSubmap(100, 3), ('r1', 'r2', 'r3'))
+    state = filter_.state
+    state.remove_all([state.robots['r2'], state.robots['r3']])
+    before = state.covariance.matrices[-1].dimension
+
+    filter_.step([], [Scan('r1', 1, (Observation(0, points[0], R),))])
+
+    assert isinstance(state.covariance, CompressedCovariance)
+    assert state.covariance.matrices[-1].dimension == before + 1
+
+
 def test_variance_bounds_hold_outside_a_submap_where_turning_lets_variances_grow():
     filter_, _ = run(town(250, 300, seed=1), ActiveSubmap(100, 10), Invariant())
     state = filter_.state
@@ -263,7 +306,7 @@ def test_variance_bounds_hold_outside_a_submap_where_turning_lets_variances_grow
     # An observation that is wrong and vague by as much corrects a lot and teaches little.
     (key, landmark), *_ = state.landmarks.items()
     filter_.gate = Gate(1.0)
-    filter_.submap.ensure_contains(state, landmark.slot.indices)
+    filter_.submap.ensure_contains(state, landmark.slot.indices, turns_points=True)
     filter_.step([], [Scan('r1', 300, (Observation(key[1], np.full(2, 1e5), 1e5 * R),))])
 
     assert isinstance(state.covariance, CompressedCovariance)
@@ -440,7 +483,7 @@ def in_a_submap(landmarks=60):
         1e-2 * np.eye(2 * landmarks)))
     robot = state.insert_robot('r1', 0, np.zeros(3), 1e-2 * np.eye(3))
     submap = ActiveSubmap(100, 5)
-    submap.ensure_contains(state, robot.slot.indices)
+    submap.ensure_contains(state, robot.slot.indices, turns_points=False)
     assert isinstance(state.covariance, CompressedCovariance)
     return state, robot, submap
 
@@ -450,7 +493,7 @@ def updates_until_left(state, robot, submap, most=300):
     first, columns = state.covariance, robot.slot.indices[None]
     H = SparseRows(columns, np.eye(2, 3)[None])
     for count in range(most):
-        submap.ensure_contains(state, columns)
+        submap.ensure_contains(state, columns, turns_points=False)
         if state.covariance is not first:
             return count
         covariance = state.covariance
@@ -478,7 +521,7 @@ def test_a_submap_that_would_be_larger_than_the_joint_state_is_left():
     state, _, submap = in_a_submap()
     first = state.covariance
 
-    submap.ensure_contains(state, state.landmark_positions())
+    submap.ensure_contains(state, state.landmark_positions(), turns_points=False)
 
     assert state.covariance is not first
 

@@ -128,7 +128,7 @@ def test_observation_models_are_equal_for_views_of_joint_arrays(compiled, rng, f
 def test_stacked_observations_are_equal_whatever_the_layout_and_type_of_their_arrays(
     compiled, rng,
 ):
-    observers, observed = rng.integers(0, 100, size=(2, 3)).tolist()
+    observers, observed = map(list, rng.integers(0, 100, size=(2, 3)))
     z = [rng.normal(size=4)[::2], np.ones(2, int), rng.normal(size=2)]
     R = [rng.normal(size=(2, 2)).T, np.eye(2, dtype=int), np.eye(2, dtype=np.float32)]
 
@@ -146,6 +146,9 @@ def test_stacked_observations_are_equal_whatever_the_layout_and_type_of_their_ar
     (([0], [3], [np.zeros(3)], [np.eye(2)]), ValueError, 'of 2 numbers'),
     (([0], [3], [np.zeros(2)], [np.eye(3)]), ValueError, 'of 4 numbers'),
     (([0.5], [3], [np.zeros(2)], [np.eye(2)]), TypeError, 'int'),
+    (([2 ** 70], [3], [np.zeros(2)], [np.eye(2)]), OverflowError, 'int'),
+    (([-1], [3], [np.zeros(2)], [np.eye(2)]), ValueError, 'no index'),
+    (([0], [sys.maxsize - 1], [np.zeros(2)], [np.eye(2)]), ValueError, 'no index'),
     (([0], [3], [np.zeros(2)], []), TypeError, 'four lists'),
     (([0], [3], np.zeros((1, 2)), [np.eye(2)]), TypeError, 'four lists'),
     (([0], [3]), TypeError, 'four lists')])
@@ -323,6 +326,8 @@ STATES, JACOBIAN, R = np.array([[0, 1, 2, 2, 3]]), np.zeros((1, 2, 5)), np.zeros
     ('correction', (FULL, np.zeros((2, 4)), np.eye(3), np.zeros(2), 4)),
     ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 5)),
     ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 5)),
+    ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 2 ** 32)),
+    ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 2 ** 32)),
     ('columns', (FULL[:, :3], [0])), ('columns', (FULL, [4])), ('columns', (FULL, [-1])),
     ('replace_columns', (FULL, [0], np.zeros((3, 1), order='F'))),
     ('replace_columns', (FULL, [0], np.zeros((4, 2), order='F'))),
