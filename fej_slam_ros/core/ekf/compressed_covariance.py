@@ -166,7 +166,7 @@ class CompressedCovariance:
         self._prior = np.concatenate([self._prior, variances])
 
     def current_estimates(self, x: Array, indices: Indices) -> Array:
-        """Return estimates x of the states `indices`, with C dg added to those of B."""
+        """Return estimates x of the states `indices`, with the corrections of those of B."""
         return x if self._contains(indices) else x + self._pending(indices)
 
     def marginal(self, slots: Sequence[Slot]) -> Array:
@@ -202,7 +202,7 @@ class CompressedCovariance:
         variances, inside = self._whole.matrix.at(indices, indices), ~self._is_outside(indices)
         if self._outside.are_turned:
             C = self._combination(indices[~inside])
-            variances[~inside] += (product(C, self._minus_learnt()) * C).sum(axis=1)
+            variances[~inside] += (product(C, self._change_of_proxies()) * C).sum(axis=1)
         in_core = self._core_index[indices[inside]]
         variances[inside] = self._core.matrix.at(in_core, in_core)
         bounds: Array = variances.sum(axis=1)
@@ -225,7 +225,7 @@ class CompressedCovariance:
             np.cumsum(~np.isin(np.arange(n), gone)) - 1
             for n, gone in ((self.dimension, removed), (self._core.dimension, in_core)))
         self._whole.remove(slots, others)
-        self._outside.remove(removed)
+        self._outside.remove(removed, place)
         if len(in_core):
             self._core.matrix.remove(in_core)
         rows = removed[removed < len(self._C)]
@@ -271,7 +271,7 @@ class CompressedCovariance:
         P.settle()
         g, capacity = len(self._proxies), len(self._whole.matrix.lower)
         C = self._C[:, :g] if len(self._C) == capacity else _extended(self._C, capacity, g)
-        change = self._outside.change(C, self._minus_learnt(), self._prior, may_end)
+        change = self._outside.change(C, self._change_of_proxies(), self._prior, may_end)
         P_gA = P.at(self._proxies[:, None], core)
         P_A, dx = product(P_gA.T, C.T, may_end).T, np.zeros(n)  # 2 n a (members)
         dx[:len(self._C)] = self._outside.correction(slice(n), self._C[:, :g], self._dg)
@@ -294,8 +294,8 @@ class CompressedCovariance:
             copied = core.augment(self._slot(Slot(heading, 1)), np.eye(1), np.zeros((1, 1)))
             self._add_proxies(copied.indices, J_df, np.zeros(1))
 
-    def _minus_learnt(self) -> Array:
-        """Return cov(g) less what it was at first."""
+    def _change_of_proxies(self) -> Array:
+        """Return the covariance of the proxies less what it was at first, cov(g) - I."""
         change = self._core.matrix.at(self._proxies[:, None], self._proxies)
         change[np.diag_indices(len(change))] -= self._prior
         return change
@@ -306,7 +306,7 @@ class CompressedCovariance:
         P, others = np.empty((k, d, d)), indices[outside]
         P[~outside] = self._core.blocks(self._core_index[indices[~outside]])
         C = self._combination(others.ravel())
-        C_learnt = product(C, self._minus_learnt()).reshape(len(others), d, -1)
+        C_learnt = product(C, self._change_of_proxies()).reshape(len(others), d, -1)
         C_T = C.reshape(len(others), d, -1).transpose(0, 2, 1)
         P[outside] = self._whole.blocks(others) + C_learnt @ C_T
         return P
@@ -321,7 +321,7 @@ class CompressedCovariance:
         return P
 
     def _pending(self, indices: Indices) -> Array:
-        """Return C dg of states outside the submap, and 0 inside."""
+        """Return the corrections of states outside the submap, and 0 inside."""
         change, outside = np.zeros(indices.shape), self._is_outside(indices)
         change[outside] = self._correction(indices[outside])
         return change

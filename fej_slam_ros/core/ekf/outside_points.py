@@ -63,8 +63,8 @@ class OutsidePoints:
         """Return the flops by which `change` of n states takes longer than without copies."""
         return 0
 
-    def remove(self, states: Indices) -> None:
-        """Remove some states."""
+    def remove(self, states: Indices, place: Indices) -> None:
+        """Remove some states; `place` (n,) has the new index of each other one."""
 
 
 class TurningPoints(OutsidePoints):
@@ -134,9 +134,8 @@ class TurningPoints(OutsidePoints):
         """Return the flops by which `change` of n states takes longer: copies count twice."""
         return n * n * self._copies
 
-    def remove(self, states: Indices) -> None:
-        """Remove some states."""
-        rows = np.arange(len(self._dx))
-        kept, place = ~np.isin(self._points[:, 0], states), np.cumsum(~np.isin(rows, states)) - 1
+    def remove(self, states: Indices, place: Indices) -> None:
+        """Remove some states; `place` (n,) has the new index of each other one."""
+        kept = ~np.isin(self._points[:, 0], states)
         self._points, self._owner_of = place[self._points[kept]], self._owner_of[kept]
-        self._dx = np.delete(self._dx, states[states < len(rows)])
+        self._dx = np.delete(self._dx, states[states < len(self._dx)])

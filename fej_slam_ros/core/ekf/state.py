@@ -162,17 +162,16 @@ class VariableSet:
         landmark.rotation_owner, self._heading_owners = robot.name, None
 
     def _add(self, variable: Variable) -> None:
-        if isinstance(variable, Landmark):
+        if isinstance(variable, Robot):
+            self.robots[variable.name] = variable
+            self._headings = self._heading_owners = None
+        elif isinstance(variable, Landmark):
             self.landmarks[variable.key] = variable
             self._landmark_positions = None
             self._add_heading_owner(variable)
-            return
-        self._heading_owners = None
-        if isinstance(variable, Robot):
-            self.robots[variable.name] = variable
-            self._headings = None
         else:
             self.rendezvous_points[variable.key] = variable
+            self._heading_owners = None
 
     def _add_heading_owner(self, landmark: Landmark) -> None:
         """Add a new landmark to `heading_owners`, which take long to make for a large map."""

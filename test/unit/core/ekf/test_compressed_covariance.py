@@ -488,6 +488,19 @@ def in_a_submap(landmarks=60):
     return state, robot, submap
 
 
+def test_a_robot_inserted_while_there_is_a_submap_is_independent_of_all_others():
+    state, _, _ = in_a_submap()
+    others, P = state.variables(), random_covariance(np.random.default_rng(6), 3)
+    before = state.marginal(others)
+
+    robot = state.insert_robot('r2', 0, np.array([1.0, 2.0, 0.3]), P)
+
+    assert_array_equal(state.marginal([robot]), P)
+    assert_array_equal(state.estimate(robot), [1.0, 2.0, 0.3])
+    assert not state.marginal([robot, *others])[:3, 3:].any()
+    assert_allclose(state.marginal(others), before, atol=1e-15)
+
+
 def updates_until_left(state, robot, submap, most=300):
     """Observe the robot's position until the submap is left; return the number of updates."""
     first, columns = state.covariance, robot.slot.indices[None]
