@@ -14,7 +14,9 @@ from time import perf_counter
 import numpy as np
 
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import chi_square, Problem, Values
+from fej_slam_ros.core.smoothing.factors import Values
+from fej_slam_ros.core.smoothing.least_squares import chi_square
+from fej_slam_ros.core.smoothing.problem import Problem
 
 OUR_BATCH = 'fej_slam_ros'
 RELATIVE_DECREASE = 1e-9

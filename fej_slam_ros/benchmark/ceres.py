@@ -9,8 +9,8 @@ import numpy as np
 
 from fej_slam_ros.benchmark.batch import MAX_ITERATIONS, RELATIVE_DECREASE, TimedSolution
 from fej_slam_ros.benchmark.cpp_program import built, can_build
-from fej_slam_ros.core.smoothing.least_squares import (
-    concatenated, Factors, Problem, Values, whitener)
+from fej_slam_ros.core.smoothing.factors import concatenated, Factors, Values, whitener
+from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.errors import UserError
 
 SOURCE = Path(__file__).with_name('ceres_batch.cpp')

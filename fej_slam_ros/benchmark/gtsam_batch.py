@@ -10,7 +10,8 @@ import numpy as np
 from fej_slam_ros.benchmark.batch import MAX_ITERATIONS, RELATIVE_DECREASE, TimedSolution
 from fej_slam_ros.benchmark.isam2 import bearing_range_factor
 from fej_slam_ros.core.geometry import pose_rotation
-from fej_slam_ros.core.smoothing.least_squares import concatenated, Problem, Values
+from fej_slam_ros.core.smoothing.factors import concatenated, Values
+from fej_slam_ros.core.smoothing.problem import Problem
 
 
 def solve(problem: Problem, start: Values) -> TimedSolution:

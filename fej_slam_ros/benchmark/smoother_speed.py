@@ -10,8 +10,9 @@ import numpy as np
 from fej_slam_ros.benchmark.machine import best
 from fej_slam_ros.core.geometry import between, wrap_all
 from fej_slam_ros.core.models import h
-from fej_slam_ros.core.smoothing.least_squares import (
-    information, LandmarkFactors, OdometryFactors, Problem, Values)
+from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.least_squares import information
+from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
 
 #: Size of the whole log of Victoria Park, which has 6.6 observations per pose.

@@ -63,7 +63,7 @@ from fej_slam_ros.core.records import (
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-from fej_slam_ros.core.smoothing.least_squares import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 from fej_slam_ros.core.team_joiner import TeamJoiner
 

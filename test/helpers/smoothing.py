@@ -4,8 +4,9 @@
 
 import numpy as np
 
-from fej_slam_ros.core.smoothing.least_squares import (
-    LandmarkFactors, OdometryFactors, Problem, RendezvousFactors, Values)
+from fej_slam_ros.core.smoothing.factors import (
+    LandmarkFactors, OdometryFactors, RendezvousFactors, Values)
+from fej_slam_ros.core.smoothing.problem import Problem
 from helpers.core import SmallTeam, turn
 
 

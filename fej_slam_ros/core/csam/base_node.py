@@ -24,7 +24,7 @@ from fej_slam_ros.core.geometry import (
     Array, between, compose, Flags, Indices, inverse, pose_rotation, poses_plus, rigid_fit,
     rotation, transform, transform_poses, wrap_all)
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.smoothing.least_squares import whitener
+from fej_slam_ros.core.smoothing.factors import whitener
 
 #: Smallest spread of the observed positions, in standard deviations: below it noise passes for
 #: geometry and the heading is overconfident.

@@ -23,7 +23,7 @@ from fej_slam_ros.core.csam.rendezvous import (
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.smoothing.least_squares import concatenated, RendezvousFactors, stacked
+from fej_slam_ros.core.smoothing.factors import concatenated, RendezvousFactors, stacked
 from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Factor of the limit before the map is solved for: the linearisation is at a map that may be

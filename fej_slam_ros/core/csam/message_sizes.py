@@ -20,7 +20,7 @@ from fej_slam_ros.core.csam.rendezvous import Measurements, RendezvousMeasuremen
 from fej_slam_ros.core.csam.rendezvous_alignment import alignment_window
 from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Indices
-from fej_slam_ros.core.smoothing.least_squares import concatenated
+from fej_slam_ros.core.smoothing.factors import concatenated
 from fej_slam_ros.core.smoothing.marginals import Information
 
 Arrays = list[NDArray[Any]]

@@ -20,8 +20,7 @@ from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
-from fej_slam_ros.core.smoothing.least_squares import (
-    concatenated, LandmarkFactors, rows_of, Values)
+from fej_slam_ros.core.smoothing.factors import concatenated, LandmarkFactors, rows_of, Values
 
 #: Largest fraction of outliers; with more, the stated noise is wrong and none is removed.
 MAX_OUTLIER_FRACTION = 0.25

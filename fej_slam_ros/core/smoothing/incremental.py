@@ -19,9 +19,10 @@ from fej_slam_ros.core.geometry import Array, between, compose, transform, trans
 from fej_slam_ros.core.models import composed_increment, G
 from fej_slam_ros.core.records import Observation, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import (
-    concatenated, LandmarkFactors, OdometryFactors, Problem, Row, Solution, stacked, TOLERANCE,
-    Values)
+from fej_slam_ros.core.smoothing.factors import (
+    concatenated, LandmarkFactors, OdometryFactors, Row, stacked, Values)
+from fej_slam_ros.core.smoothing.least_squares import Solution, TOLERANCE
+from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 

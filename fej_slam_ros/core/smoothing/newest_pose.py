@@ -21,7 +21,7 @@ from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, landmark_estimates, Robot)
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.records import Motion, Observation, Scan
-from fej_slam_ros.core.smoothing.least_squares import Values
+from fej_slam_ros.core.smoothing.factors import Values
 from fej_slam_ros.core.smoothing.marginals import Information
 
 #: Number of landmarks nearest to a pose that the filter continues with. When it has twice as many

@@ -19,9 +19,10 @@ from fej_slam_ros.core.csam.team_solution import (
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey
-from fej_slam_ros.core.smoothing.least_squares import (
-    chi_square, Factors, LandmarkFactors, OdometryFactors, Problem, RendezvousFactors, Row,
-    stacked, Values)
+from fej_slam_ros.core.smoothing.factors import (
+    Factors, LandmarkFactors, OdometryFactors, RendezvousFactors, Row, stacked, Values)
+from fej_slam_ros.core.smoothing.least_squares import chi_square
+from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
 

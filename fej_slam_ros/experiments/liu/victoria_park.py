@@ -21,8 +21,9 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.joining.initial_alignment import closed_form, InitialAlignmentError
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
-from fej_slam_ros.core.smoothing.least_squares import (
-    LandmarkFactors, OdometryFactors, Problem, solve, Values)
+from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.least_squares import solve
+from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.datasets.liu import batch_solution
 from fej_slam_ros.datasets.liu.batch_solution import XGni
 from fej_slam_ros.datasets.victoria_park import associated_log as park

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 from fej_slam_ros.core.csam import landmark_matching
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.smoothing.least_squares import (
-    LandmarkFactors, OdometryFactors, Problem, Values)
+from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.problem import Problem
 
 SMALL = 1e-4 * np.eye(2)
 EXACT = 1e-14 * np.eye(3)

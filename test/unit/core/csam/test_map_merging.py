@@ -15,7 +15,7 @@ from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-from fej_slam_ros.core.smoothing.least_squares import rows_of
+from fej_slam_ros.core.smoothing.factors import rows_of
 from helpers.core import central_differences, turn, wrapped
 from helpers.csam import in_another_frame, joined_maps, Met, true_base_node
 

@@ -11,8 +11,9 @@ import pytest
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import without_outliers
 from fej_slam_ros.core.geometry import between, compose
-from fej_slam_ros.core.smoothing.least_squares import (
-    LandmarkFactors, OdometryFactors, Problem, solve, Values)
+from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.least_squares import solve
+from fej_slam_ros.core.smoothing.problem import Problem
 from helpers.csam import Met
 
 

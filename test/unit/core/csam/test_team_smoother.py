@@ -19,7 +19,7 @@ from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import Odometry, PosePrior, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.smoothing import least_squares
-from fej_slam_ros.core.smoothing.least_squares import Values
+from fej_slam_ros.core.smoothing.factors import Values
 from helpers.core import circles, pose_difference, turn
 from helpers.csam import smoothed
 from helpers.records import MS, odometry, robot_scan, scan, team

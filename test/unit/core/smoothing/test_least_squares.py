@@ -14,8 +14,9 @@ from scipy.optimize import least_squares
 from fej_slam_ros.core import gauss_newton
 from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
 from fej_slam_ros.core.smoothing import least_squares as smoothing
-from fej_slam_ros.core.smoothing.least_squares import (
-    information, LandmarkFactors, OdometryFactors, Problem, solve, Values)
+from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.least_squares import information, solve
+from fej_slam_ros.core.smoothing.problem import Problem
 from helpers.core import central_differences, pose_difference, turn, wrapped
 from helpers.smoothing import far_from, RENDEZVOUS, rendezvous_world, world
 

@@ -12,7 +12,8 @@ from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.records import UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing import odometry_chains
-from fej_slam_ros.core.smoothing.least_squares import information, solve, Values
+from fej_slam_ros.core.smoothing.factors import Values
+from fej_slam_ros.core.smoothing.least_squares import information, solve
 from fej_slam_ros.core.smoothing.odometry_chains import ChainedIncrements, OdometryChains
 from helpers.smoothing import far_from, whitened_dense, world
 
