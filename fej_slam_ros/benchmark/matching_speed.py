@@ -8,7 +8,6 @@ from time import perf_counter
 import numpy as np
 
 from fej_slam_ros.benchmark.synthetic_drive import fej_filter
-from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.geometry import Array
@@ -40,13 +39,13 @@ def matching_time() -> MatchingTime:
     rng = np.random.default_rng(1)
     team, points = _mapped_world(rng)
     team.predict(Motion('r1', 1, np.zeros(3), POSE_P))
-    manager, matcher, times, matched = LandmarkManager(), JointCompatibilityMatcher(0.99), [], 0
+    manager, times, matched = LandmarkManager(), [], 0
     nearest = np.argsort(np.hypot(*points.T))[:SCAN_SIZE]
     for k in range(SCAN_COUNT):
         z = points[nearest] + rng.normal(0.0, SCAN_SIGMA, (SCAN_SIZE, 2))
         scan = Scan('r1', k, tuple(Observation(NO_ID, z_k, SCAN_R) for z_k in z))
         begin = perf_counter()
-        named = manager.associate(team, matcher, scan)
+        named = manager.associate(team, scan, 0.99)
         times.append(perf_counter() - begin)
         true_ids = {z_k.tobytes(): id_ for id_, z_k in zip(nearest.tolist(), z)}
         matched += sum(true_ids[s.z.tobytes()] == s.id for s in named.associated.observations)

@@ -48,7 +48,7 @@ def run_time(name: str, records: list[Record], settings: Settings) -> RunTime:
     begin = perf_counter()
     steps = sum(1 for _ in estimator.run(records))
     seconds = perf_counter() - begin
-    return RunTime(name, seconds, steps, estimator.groups.team.dimension)
+    return RunTime(name, seconds, steps, estimator.groups.team.state.covariance.dimension)
 
 
 def synthetic_park() -> tuple[list[Record], Settings]:

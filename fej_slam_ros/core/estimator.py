@@ -14,7 +14,6 @@ import sys
 import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
-from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
 from fej_slam_ros.core.data_association.wrong_landmarks import (
     MOVED_LANDMARKS, remove_contradicted, update_trust)
@@ -35,7 +34,7 @@ from fej_slam_ros.core.new_landmarks import (
 from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    AnyScan, LandmarkKey, Motion, NO_ID, PriorMap, Record, Scan, Step, TruePose)
+    AnyScan, LandmarkKey, NO_ID, PriorMap, Record, Scan, Step, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import check_values, RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
@@ -95,7 +94,6 @@ class Estimator(TeamInput):
         self._joiner = TeamJoiner(
             settings, self.groups, self.landmark_manager, self.statistics, self._pose_priors)
         self._quarantine = Quarantine(self.groups, self.statistics, self.innovations.lost_robots)
-        self._matcher = JointCompatibilityMatcher(settings.match_probability)
         self.change_team(settings.robots)
 
     def change_team(
@@ -199,7 +197,6 @@ class Estimator(TeamInput):
         self.groups.change_settings(settings)
         self._joiner.change_settings(settings)
         self.sequencer.change_limits(settings)
-        self._matcher = JointCompatibilityMatcher(settings.match_probability)
 
     def _checked_step(self, step: Step) -> StepResult:
         try:
@@ -215,7 +212,8 @@ class Estimator(TeamInput):
         for name in step.arrivals:
             self.groups.begin(self.robots[name], step.stamp)
         for motion in step.motions:
-            self._predict(motion)
+            if not self._quarantine.restart_after(motion):
+                self.groups.of(motion.robot).filter.predict(motion)
             # Before the scans of the step, which the former pose would contradict.
             if self._joiner.relocate(motion.robot, step.stamp):
                 self.innovations.lost_robots.reset(motion.robot)
@@ -248,11 +246,6 @@ class Estimator(TeamInput):
             {key for state in self.groups.states() for key in state.rendezvous_points})
         return associated
 
-    def _predict(self, motion: Motion) -> None:
-        """Predict a robot, or restart it in a frame of its own if its motion is unknown."""
-        if not self._quarantine.restart_after(motion):
-            self.groups.of(motion.robot).filter.predict(motion)
-
     def _observe(
         self, group: FrameGroup, step: Step, used_up: Collection[LandmarkKey]
     ) -> list[Scan]:
@@ -279,7 +272,8 @@ class Estimator(TeamInput):
         associated, associations = [], []
         for scan in scans:
             if scan.robot in group.robots:
-                known = self.landmark_manager.associate(group.filter, self._matcher, scan)
+                known = self.landmark_manager.associate(
+                    group.filter, scan, self.settings.match_probability)
                 lost_robots.add_matches(scan.robot, known.statistics)
                 known = self._quarantine.restrict_suspected(group, known)
                 for observation in known.doubtful:

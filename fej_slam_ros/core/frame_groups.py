@@ -53,11 +53,6 @@ class FrameGroup:
         """Return the robots of the group by name."""
         return self.filter.state.robots
 
-    @property
-    def dimension(self) -> int:
-        """Return the number of states."""
-        return self.state.covariance.dimension
-
     def map(self) -> FrameMap:
         """Return the confirmed landmarks, ordered by ID."""
         landmarks = sorted(
@@ -77,16 +72,7 @@ class FrameGroup:
 
 
 class FrameGroups:
-    """
-    The frame groups of a team, each with its filter and robots.
-
-    Parameters
-    ----------
-    settings : settings of the estimation
-    truth : ground truth in ``map``, for policies that linearise at it
-    prior : landmarks known in ``map`` beforehand, if any
-
-    """
+    """The frame groups of a team, each with its filter and robots."""
 
     def __init__(
         self, settings: Settings, truth: RecordedTruth, prior: PriorMap | None = None

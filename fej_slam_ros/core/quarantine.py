@@ -24,16 +24,7 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 
 class Quarantine:
-    """
-    Restarts of robots, and what robots that may be lost contribute.
-
-    Parameters
-    ----------
-    groups : the frame groups
-    statistics : counts the restarts and the rejected input
-    lost_robots : which robots may be lost
-
-    """
+    """Restarts robots, and restricts what robots that may be lost contribute."""
 
     def __init__(
         self, groups: FrameGroups, statistics: InputStatistics, lost_robots: LostRobotDetector
@@ -67,29 +58,18 @@ class Quarantine:
         """
         for scan in step.scans:
             group = self._groups.of(scan.robot)
-            if self._has_turned(scan.robot, min_landmarks) and any(
+            reason = _why_turned(group, scan.robot, min_landmarks)
+            if reason and any(
                     key in group.state.landmarks for key in _landmark_keys(group, scan)):
-                self._restart_turned(scan.robot, step.stamp)
+                self._restart(scan.robot, step.stamp, reason)
         for robot_scan in step.robot_scans:
             for observation in robot_scan.observations:
                 pair = robot_scan.robot, observation.observed
                 if self._groups.of(pair[0]) is self._groups.of(pair[1]):
                     for robot in pair:
-                        if self._has_turned(robot, min_landmarks):
-                            self._restart_turned(robot, step.stamp)
-
-    def _has_turned(self, robot: str, min_landmarks: int) -> bool:
-        """Return whether a robot's heading is too uncertain, and it can join again."""
-        group = self._groups.of(robot)
-        return (
-            group.robots[robot].turn_variance > group.filter.linearization.max_turn_sigma ** 2
-            and len(group.robots) > 1 and _count_with_ids(group.state) >= min_landmarks)
-
-    def _restart_turned(self, robot: str, stamp: int) -> None:
-        sigma = math.sqrt(self._groups.of(robot).robots[robot].turn_variance)
-        self._restart(
-            robot, stamp,
-            f'its heading has become uncertain by {sigma:.2f} rad since it was last corrected')
+                        reason = _why_turned(self._groups.of(robot), robot, min_landmarks)
+                        if reason:
+                            self._restart(robot, step.stamp, reason)
 
     def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart the lost ones of some robots if they can join again by landmarks."""
@@ -168,6 +148,17 @@ class Quarantine:
 def _landmark_keys(group: FrameGroup, scan: Scan) -> list[LandmarkKey]:
     """Return the identities of the landmarks that a scan observes."""
     return group.filter.landmark_keys(scan.robot, [s.id for s in scan.observations])
+
+
+def _why_turned(group: FrameGroup, robot: str, min_landmarks: int) -> str:
+    """Return why a robot restarts for its uncertain heading, '' if it does not."""
+    variance = group.robots[robot].turn_variance
+    if variance <= group.filter.linearization.max_turn_sigma ** 2 or not (
+            len(group.robots) > 1 and _count_with_ids(group.state) >= min_landmarks):
+        return ''
+    return (
+        f'its heading has become uncertain by {math.sqrt(variance):.2f} rad since it was last'
+        ' corrected')
 
 
 def _count_with_ids(state: JointState) -> int:

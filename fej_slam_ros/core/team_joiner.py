@@ -46,18 +46,7 @@ MAX_PAUSE = 60 * NS
 
 
 class TeamJoiner:
-    """
-    Joins the frame groups of a team.
-
-    Parameters
-    ----------
-    settings : settings of the estimation
-    groups : the frame groups
-    landmark_manager : merges the duplicate landmarks of joined maps
-    statistics : counts rejected observations and pose priors
-    pose_priors : initial poses that wait for a step of their robot
-
-    """
+    """Joins the frame groups of a team, and merges the duplicate landmarks of joined maps."""
 
     def __init__(
         self, settings: Settings, groups: FrameGroups, landmark_manager: LandmarkManager,
@@ -204,7 +193,7 @@ class TeamJoiner:
             team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
         # Before step 0 only rendezvous points join groups; step 0 uses the shared landmarks. An
         # empty ``map``, whose anchor has no valid start, has nothing to share.
-        if team.dimension and (self._groups.is_initialized or has_rendezvous):
+        if team.state.covariance.dimension and (self._groups.is_initialized or has_rendezvous):
             failure = self._join_groups(team, group)
             if failure is not None:
                 self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))

@@ -5,7 +5,7 @@
 import numpy as np
 
 from fej_slam_ros.core.data_association.candidate_pairs import candidate_pairs
-from fej_slam_ros.core.data_association.joint_compatibility import JointCompatibilityMatcher
+from fej_slam_ros.core.data_association.joint_compatibility import match_scan
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
@@ -45,8 +45,9 @@ def pairs_of(state, robot, seen, odds=ODDS):
 def match(state, robot, seen, probability=0.99, odds=ODDS):
     """Return landmark index by observation index, and the new and the ambiguous observations."""
     landmarks = [*state.landmarks.values()]
-    found = JointCompatibilityMatcher(probability).match(
-        state, FirstEstimates(), robot, seen, landmarks, np.full(len(landmarks), odds))
+    found = match_scan(
+        state, FirstEstimates(), robot, seen, landmarks, np.full(len(landmarks), odds),
+        probability)
     matched = {i: landmarks.index(landmark) for i, landmark in found.landmarks.items()}
     return matched, list(found.new), list(found.doubtful)
 

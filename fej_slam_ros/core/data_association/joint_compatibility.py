@@ -75,45 +75,33 @@ class Hypothesis:
         return tuple(pair for pair, gain in zip(self.pairs, sums) if gain > MIN_GAIN)
 
 
-class JointCompatibilityMatcher:
+def match_scan(
+    state: JointState, linearization: Linearization, robot: Robot,
+    observations: Sequence[Observation], landmarks: Sequence[Landmark], log_odds: Array,
+    probability: float,
+) -> MatchingResult:
     """
-    Matches observations without IDs to landmarks.
+    Return the landmarks of a robot's observations without ID; parameters as of `candidate_pairs`.
 
-    Parameters
-    ----------
-    probability : a correct pair passes the individual test with this probability, and all correct
-        pairs of a scan pass the joint one
+    A correct pair passes the individual test with the given probability, and all correct pairs of
+    a scan pass the joint one.
 
     """
-
-    def __init__(self, probability: float) -> None:
-        self._tail = 1.0 - probability
-
-    def match(
-        self, state: JointState, linearization: Linearization, robot: Robot,
-        observations: Sequence[Observation], landmarks: Sequence[Landmark], log_odds: Array,
-    ) -> MatchingResult:
-        """Associate a robot's observations; the parameters are those of `candidate_pairs`."""
-        rest = candidate_pairs(state, linearization, robot, observations, landmarks, log_odds)
-        matched: dict[int, Landmark] = {}
-        sum_d2 = 0.0
-        for pair in unambiguous_pairs(rest):
-            p = rest.index(pair)
-            if p is None:
-                continue
-            d2 = float(rest.weights.d2[p])
-            if d2 <= self._limit(1) and sum_d2 + d2 <= self._limit(len(matched) + 1):
-                matched[pair[0]], sum_d2 = landmarks[pair[1]], sum_d2 + d2
-                rest = rest.conditioned_on(p)
-        doubtful = {*rest.observation.tolist()}
-        return MatchingResult(
-            matched,
-            [i for i in range(len(observations)) if not (i in doubtful or i in matched)],
-            sorted(doubtful), [landmarks[f] for f in np.unique(rest.landmark)])
-
-    def _limit(self, count: int) -> float:
-        """Return the limit of the sum of squared distances of `count` pairs."""
-        return float(chdtri(2 * count, self._tail))
+    rest = candidate_pairs(state, linearization, robot, observations, landmarks, log_odds)
+    matched: dict[int, Landmark] = {}
+    sum_d2, tail = 0.0, 1.0 - probability
+    for pair in unambiguous_pairs(rest):
+        p = rest.index(pair)
+        if p is None:
+            continue
+        d2 = float(rest.weights.d2[p])
+        if d2 <= chdtri(2, tail) and sum_d2 + d2 <= chdtri(2 * (len(matched) + 1), tail):
+            matched[pair[0]], sum_d2 = landmarks[pair[1]], sum_d2 + d2
+            rest = rest.conditioned_on(p)
+    doubtful = {*rest.observation.tolist()}
+    return MatchingResult(
+        matched, [i for i in range(len(observations)) if not (i in doubtful or i in matched)],
+        sorted(doubtful), [landmarks[f] for f in np.unique(rest.landmark)])
 
 
 def unambiguous_pairs(pairs: CandidatePairs) -> list[Pair]:

@@ -18,8 +18,7 @@ import numpy as np
 from fej_slam_ros.core.data_association.constellations import can_be_found
 from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
 from fej_slam_ros.core.data_association.failure_detection import ScanMatchStatistics
-from fej_slam_ros.core.data_association.joint_compatibility import (
-    JointCompatibilityMatcher, MatchingResult)
+from fej_slam_ros.core.data_association.joint_compatibility import match_scan, MatchingResult
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.landmark_evidence import TentativeEvidence
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Robot
@@ -134,10 +133,8 @@ class LandmarkManager:
             self.replaced[id_] = present
             self.replaced.pop(present, None)
 
-    def associate(
-        self, filter_: Filter, matcher: JointCompatibilityMatcher, scan: Scan
-    ) -> AssociatedScan:
-        """Associate the observations without ID of a scan, by a robot of the filter."""
+    def associate(self, filter_: Filter, scan: Scan, probability: float) -> AssociatedScan:
+        """Associate the observations without ID of a scan; `probability` as of `match_scan`."""
         unknown = [s for s in scan.observations if s.id == NO_ID]
         view = self.views.setdefault(scan.robot, FieldOfView())
         # The field of view is not needed as long as all observations have IDs.
@@ -153,8 +150,8 @@ class LandmarkManager:
             filter_.state, filter_.state.robots[scan.robot], landmarks
         ) & np.array([landmark.tentative is None for landmark in landmarks], bool)
         result = _matched(
-            filter_, matcher, scan.robot, unknown, landmarks,
-            _log_odds(view, is_expected, len(unknown)))
+            filter_, scan.robot, unknown, landmarks, _log_odds(view, is_expected, len(unknown)),
+            probability)
         matched = [
             replace(unknown[i], id=landmark.key[1]) for i, landmark in result.landmarks.items()]
         new = [replace(unknown[i], id=self._new_id()) for i in result.new]
@@ -249,12 +246,13 @@ def _landmarks_for(
 
 
 def _matched(
-    filter_: Filter, matcher: JointCompatibilityMatcher, name: str,
-    unknown: Sequence[Observation], landmarks: Sequence[Landmark], log_odds: Array,
+    filter_: Filter, name: str, unknown: Sequence[Observation], landmarks: Sequence[Landmark],
+    log_odds: Array, probability: float,
 ) -> MatchingResult:
     """Return the matches of a robot's observations, none if its heading is too uncertain."""
     state, robot = filter_.state, filter_.state.robots[name]
-    result = matcher.match(state, filter_.linearization, robot, unknown, landmarks, log_odds)
+    result = match_scan(
+        state, filter_.linearization, robot, unknown, landmarks, log_odds, probability)
     # A linear update cannot correct the heading by so much, a join can.
     has_turned = robot.turn_variance > filter_.linearization.max_turn_sigma_without_ids ** 2
     return result.without_matches() if has_turned and can_be_found(state) else result

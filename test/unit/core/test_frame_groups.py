@@ -161,7 +161,7 @@ def test_a_map_lists_landmarks_by_id_with_positions_and_covariances():
     assert [(f.id, f.robot, f.position.tolist(), f.P.tolist()) for f in of_team] == [
         (number, '', [1.0, 0.0], np.eye(2).tolist()) for number in (4, 9)]
     assert of_team.has_shared_ids()
-    assert groups.team.dimension == 7
+    assert groups.team.state.covariance.dimension == 7
 
 
 def test_the_map_of_a_run_is_the_prior_map_of_another_one():
