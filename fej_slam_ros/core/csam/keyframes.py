@@ -33,9 +33,7 @@ class Keyframes:
     """
     Keyframes of a team.
 
-    Parameters
-    ----------
-    distance : motion [m] after which a pose or an observation is kept; at 0 all are
+    A pose or an observation is kept after a motion of `distance` [m]; at 0 all are.
 
     """
 

@@ -82,22 +82,15 @@ def _matched(joint: JointMap) -> tuple[JointMap, JoinFailure | None]:
 
 
 class _MapMerger:
-    """
-    Groups of joined robots, each with one map.
-
-    Attributes
-    ----------
-    groups : the maps
-    outliers : failures of single observations of rendezvous that were applied
-    landmark_outliers : landmark observations that were left out, by robot
-
-    """
+    """Groups of joined robots, each with one map."""
 
     def __init__(
         self, maps: Sequence[JointMap], measurements: Measurements, rules: JoinRules
     ) -> None:
-        self.groups = [*maps]
+        self.groups = [*maps]  #: the map of each group
+        #: failures of single observations of rendezvous that were applied
         self.outliers: list[JoinFailure] = []
+        #: landmark observations that were left out, by robot
         self.landmark_outliers: defaultdict[str, list[Outlier]] = defaultdict(list)
         self._rules = replace(
             rules, variance_factor=variance_factor(self.groups, rules.min_shared))

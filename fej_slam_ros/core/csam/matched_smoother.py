@@ -10,15 +10,7 @@ from fej_slam_ros.core.settings import SmootherSettings
 
 
 class MatchedTeamSmoother(TeamSmoother):
-    """
-    A smoother of observations without ID; those without a match are rejected.
-
-    Parameters
-    ----------
-    settings, solve_every : as for `TeamSmoother`
-    matches : of the same records
-
-    """
+    """A smoother of observations without ID, by their matches; those without are rejected."""
 
     needs_ids = False
 

@@ -71,15 +71,7 @@ def aligned_but_for_outliers(
 
 
 class RendezvousAligner:
-    """
-    Base nodes of maps by their rendezvous; each map is factored once for all of these.
-
-    Parameters
-    ----------
-    measurements : all robot-to-robot observations
-    rules : conditions for joining
-
-    """
+    """Base nodes of maps by their rendezvous; each map is factored once for all measurements."""
 
     def __init__(self, measurements: Measurements, rules: JoinRules) -> None:
         self._rules = rules

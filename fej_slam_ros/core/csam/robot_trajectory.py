@@ -30,19 +30,14 @@ class RobotTrajectory:
     poses after a motion that is not known are in a frame of their own until the robot observes
     some of its landmarks again, and in no solution before.
 
-    Attributes
-    ----------
-    stamps : of the poses that are kept [ns]
-    frame : name of the frame of all estimates
-    error : message if the newest pose or the robot's own map could not be solved for, else ''
-
     """
 
     def __init__(
         self, robot: str, stamp: int, observations: tuple[Observation, ...], solve_every: int
     ) -> None:
-        self.stamps = [stamp]
-        self.frame = own_frame(robot)
+        self.stamps = [stamp]  #: of the poses that are kept [ns]
+        self.frame = own_frame(robot)  #: name of the frame of all estimates
+        #: message if the newest pose or the robot's own map could not be solved for, else ''
         self.error = ''
         self._newest_stamp = stamp
         self._robot = robot
@@ -142,24 +137,24 @@ class RobotTrajectory:
     def why_lost(self) -> str:
         """Return what a lost robot lacks."""
         return (
-            f'it is lost: {self._shared_count()} of the landmarks of its map are observed again,'
-            f' needs {MIN_FOUND} that fit')
+            f'it is lost: {len(self._observed_again())} of the landmarks of its map are observed'
+            f' again, needs {MIN_FOUND} that fit')
 
     @property
     def _growing(self) -> IncrementalSmoother:
         """Return the smoother of the newest pose."""
         return self._smoother if self._lost is None else self._lost
 
-    def _shared_count(self) -> int:
-        lost = {} if self._lost is None else self._lost.landmark_index
-        return len(lost.keys() & self._smoother.landmark_index.keys())
+    def _observed_again(self) -> list[int]:
+        """Return the landmarks of the map that were observed since the robot was lost."""
+        lost = () if self._lost is None else self._lost.landmark_index
+        return [id_ for id_ in lost if id_ in self._smoother.landmark_index]
 
     def _find(self) -> None:
         """Append the poses since the robot was lost if enough landmarks are observed again."""
-        if self._lost is None or self._shared_count() < MIN_FOUND:
+        lost, known, shared = self._lost, self._smoother, self._observed_again()
+        if lost is None or len(shared) < MIN_FOUND:
             return
-        lost, known = self._lost, self._smoother
-        shared = [id_ for id_ in lost.landmark_index if id_ in known.landmark_index]
         a, b = (
             smoother.values().points[[smoother.landmark_index[id_] for id_ in shared]]
             for smoother in (lost, known))

@@ -28,13 +28,16 @@ from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import check_anchor, RobotSettings, SmootherSettings
+from fej_slam_ros.core.settings import check_anchor, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
 class TeamSmoother(TeamInput):
     """
     Trajectories and maps of a team of robots.
+
+    What is known of a robot that leaves the team stays part of the solutions. If it returns, it is
+    lost until it observes some of its landmarks again.
 
     Parameters
     ----------
@@ -79,16 +82,6 @@ class TeamSmoother(TeamInput):
         self._due_scans: list[RobotScan] = []
         self._kept: set[str] = set()
         self._stamp = 0
-
-    def change_team(self, robots: Sequence[RobotSettings]) -> None:
-        """
-        Change the team, whose robots are given in the order of processing.
-
-        What is known of a robot that leaves stays part of the solutions. If it returns, it is lost
-        until it observes some of its landmarks again.
-
-        """
-        super().change_team(robots)
 
     def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
         """

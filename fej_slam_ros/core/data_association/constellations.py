@@ -25,7 +25,7 @@ from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
 from fej_slam_ros.core.geometry import Array, Indices, rigid_fit, rotation, transform, wrap
-from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.join_failure import counted, JoinFailure
 from fej_slam_ros.core.pieces import pause
 from fej_slam_ros.core.records import LandmarkKey, NO_ID
 
@@ -112,8 +112,7 @@ def shared_landmarks(
     without_id = _latest_without_id(team, group), _latest_without_id(group, team)
     fewer = min(map(len, without_id))
     if fewer < MIN_MATCHES:
-        landmarks = 'landmark' if fewer == 1 else 'landmarks'
-        return JoinFailure(f'{fewer} {landmarks} without ID, needs {MIN_MATCHES}')
+        return JoinFailure(f'{counted(fewer, "landmark")} without ID, needs {MIN_MATCHES}')
     for of_smaller, of_larger in MAX_LANDMARKS:
         ours, theirs = (
             _map(state, landmarks[-(of_smaller if len(landmarks) == fewer else of_larger):])

@@ -34,18 +34,11 @@ POSE_SIZE = 3
 
 
 class StackedVariables:
-    """
-    Variables of a frame, stacked in one vector x (n,), and the motion g o x of all of them.
-
-    Attributes
-    ----------
-    variables : the variables in their order
-    indices : (n,) array, the states of x in the joint state of the frame
-
-    """
+    """Variables of a frame, stacked in one vector x (n,), and the motion g o x of all of them."""
 
     def __init__(self, variables: Variables) -> None:
         self.variables = variables
+        #: (n,) array, the states of x in the joint state of the frame
         self.indices = joint_indices([variable.slot for variable in variables])
         sizes = np.array([variable.slot.size for variable in variables], np.intp)
         starts = np.cumsum(sizes) - sizes

@@ -14,7 +14,7 @@ from copy import deepcopy
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.state import JointState, part_of
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.join_failure import counted, JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
     determine_heading, fit, FrameFit, shared_variables, Variables)
@@ -56,9 +56,9 @@ class MapJoiner:
         keys = team.state.landmarks.keys() & group.state.landmarks.keys()
         landmarks = len(keys)
         points = len(team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
-        shared = _counted(landmarks, 'shared landmark')
+        shared = counted(landmarks, 'shared landmark')
         if points:
-            shared += f' and {_counted(points, "observation")} of robots'
+            shared += f' and {counted(points, "observation")} of robots'
         if landmarks + points < self._min_landmarks:
             return JoinFailure(f'{shared}, needs {self._min_landmarks}')
         # The conditions of a join cost little however large the maps are.
@@ -180,7 +180,3 @@ def _from_first_robot(filter_: Filter, variables: Variables) -> JointState:
         return part_of(filter_.state, variables)
     part = part_of(filter_.state, variables if robot in variables else [robot, *variables])
     return in_frame_of(part, part.robots[robot.name], filter_.linearization)
-
-
-def _counted(count: int, what: str) -> str:
-    return f'{count} {what}' if count == 1 else f'{count} {what}s'

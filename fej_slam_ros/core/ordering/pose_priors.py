@@ -15,14 +15,7 @@ MAX_WAITING_PRIORS = 100
 
 
 class PosePriors:
-    """
-    The pose priors of all robots; each is used once, also by a robot that left and returned.
-
-    Parameters
-    ----------
-    statistics : counts the rejections
-
-    """
+    """The pose priors of all robots; each is used once, also by a robot that left and returned."""
 
     def __init__(self, statistics: InputStatistics) -> None:
         self._statistics = statistics

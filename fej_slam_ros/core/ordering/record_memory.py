@@ -59,13 +59,10 @@ class RecordMemory:
 
     def add(self, record: RecordIdentity, may_forget: Callable[[int], bool]) -> None:
         """
-        Remember a record, and forget the oldest well beyond `MAX_REMEMBERED`.
+        Remember a new record, and forget the oldest well beyond `MAX_REMEMBERED`.
 
-        Parameters
-        ----------
-        record : identity of a record that is not contained
-        may_forget : whether a record of a stamp may be forgotten; waiting records may not, or
-            their duplicates would be used as well
+        `may_forget` returns whether records of a stamp may be forgotten; waiting ones may not, or
+        their duplicates would be used as well.
 
         """
         key, content = record

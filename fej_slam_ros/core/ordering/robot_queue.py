@@ -31,26 +31,15 @@ class ReleaseKey(NamedTuple):
 
 
 class RobotQueue:
-    """
-    Waiting records of one robot, in the order of their stamps.
-
-    Parameters
-    ----------
-    settings : of the robot
-    longest_gap : longest increment [ns] within which events are due at their own stamps
-
-    Attributes
-    ----------
-    odometry : the waiting odometry, and the progress
-    next_key : position of the next event in the order of all robots, None without one
-
-    """
+    """Waiting records of one robot, in the order of their stamps."""
 
     def __init__(self, settings: RobotSettings, longest_gap: int) -> None:
         self.name = settings.name
-        self.odometry = OdometryIncrements(settings)
+        self.odometry = OdometryIncrements(settings)  #: the waiting odometry, and the progress
+        #: position of the next event in the order of all robots, None without one
         self.next_key: ReleaseKey | None = None
         self._settings = settings
+        # Longest increment [ns] within which events are due at their own stamps.
         self._longest_gap = longest_gap
         self._scans: list[AnyScan] = []
         self._observations = 0  # in these scans

@@ -43,33 +43,20 @@ UNKNOWN_ROBOT_ID = -1
 
 
 class Sequencer:
-    """
-    Queues of all robots, and the release of their events as steps.
-
-    Parameters
-    ----------
-    settings : initial team, and the limits of delays
-    statistics : counts the rejections
-
-    Attributes
-    ----------
-    ids : ID of each robot that is or was in the team, by name
-
-    """
+    """Queues of all robots, and the release of their events as steps."""
 
     def __init__(self, settings: CommonSettings, statistics: InputStatistics) -> None:
+        self.ids: dict[str, int] = {}  #: of each robot that is or was in the team, by name
+        self.is_waiting = False  #: whether there is no step to take before more input
         self._queues: dict[str, RobotQueue] = {}
         self._left: dict[str, RobotQueue] = {}
-        self.ids: dict[str, int] = {}
         self._statistics = statistics
         self._settings = settings
-        self._must_wait_for_input = False  # whether the input so far allows no further step
         # The robot that has to send before the next step, and the key of that step, while all
         # robots are live.
         self._awaited: tuple[str, ReleaseKey] | None = None
         # Limits in ns. Data may be delayed by max_delay before a robot counts as silent.
         self._max_delay = self._stale_after = self._longest_lead = 0
-        self._max_observations = 0
         self.change_limits(settings)
         self._begun = False
         # Oldest and newest odometry of the team; its newest at the latest message of each robot
@@ -82,12 +69,11 @@ class Sequencer:
 
     def change_limits(self, settings: CommonSettings) -> None:
         """Use other limits of delays, once `change_team` has passed them to all robots."""
-        self._must_wait_for_input = False
+        self.is_waiting = False
         self._settings = settings
         self._max_delay = round(settings.max_delay * NS)
         self._stale_after = round(settings.stale_after * NS)
         self._longest_lead = self._stale_after + self._max_delay
-        self._max_observations = settings.max_observations
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
         """Change the team or its noise; waiting records of robots that leave are rejected."""
@@ -109,17 +95,14 @@ class Sequencer:
             or RobotQueue(robot, self._stale_after) for robot in robots}
         for robot in robots:
             self._queues[robot.name].change_settings(robot, self._stale_after)
-        self._must_wait_for_input = False
+        self.is_waiting = False
         self.ids |= {robot.name: robot.id for robot in robots}
 
     def add(self, record: Odometry | AnyScan, received: int | None) -> RejectionReason | None:
         """
         Insert a record; return the reason if it is rejected, None if it is accepted.
 
-        Parameters
-        ----------
-        record : odometry or a scan of landmarks or robots
-        received : time of reception [ns], on the clock of its stamp; None to trust the stamp
+        `received` is the time of reception [ns], on the clock of the stamp; None to trust that.
 
         """
         reason = self._insert(record, received)
@@ -127,14 +110,9 @@ class Sequencer:
             self._reject(record, reason)
         return reason
 
-    @property
-    def is_waiting(self) -> bool:
-        """Return whether there is no step to take before more input."""
-        return self._must_wait_for_input
-
     def take(self) -> Iterator[Step]:
         """Yield the steps that need not wait any longer."""
-        if self._must_wait_for_input:
+        if self.is_waiting:
             return
         self._awaited = None
         self._begun = self._begun or self._may_begin()
@@ -161,7 +139,7 @@ class Sequencer:
             if self._must_wait(key, queues, observed):
                 break
             yield from self._release(key, of_step, observed)
-        self._must_wait_for_input = True
+        self.is_waiting = True
 
     def release(self) -> Iterator[Step]:
         """Yield all steps that odometry has reached, without waiting for any robot."""
@@ -176,7 +154,7 @@ class Sequencer:
 
     def close(self) -> None:
         """Reject the scans that no odometry has reached: the input has ended."""
-        self._must_wait_for_input = False
+        self.is_waiting = False
         for queue in self._queues.values():
             self._reject_surplus(queue, most=0)
 
@@ -191,7 +169,7 @@ class Sequencer:
         rate : that rate [Hz]
 
         """
-        self._must_wait_for_input = False
+        self.is_waiting = False
         for queue in self._queues.values():
             large = queue.take_surplus_scans(most=1, size=size)
             for scan in [*large, *queue.take_surplus_scans(most=most, rate=rate)]:
@@ -199,7 +177,7 @@ class Sequencer:
 
     def resume(self) -> None:
         """Continue from a checkpoint, after which all input may be sent again."""
-        self._must_wait_for_input = False
+        self.is_waiting = False
         for queue in self._queues.values():
             queue.resume()
 
@@ -222,7 +200,7 @@ class Sequencer:
             return RejectionReason.UNKNOWN_ROBOT
         if self._settings.is_future(record.stamp, received):
             return RejectionReason.FUTURE
-        reason = queue.accept(record, self._max_observations)
+        reason = queue.accept(record, self._settings.max_observations)
         if reason is None:
             if isinstance(record, Odometry):
                 oldest = record.stamp if self._oldest is None else self._oldest
@@ -231,8 +209,7 @@ class Sequencer:
             if not self._is_live(queue):
                 self._heard[queue.name] = self._newest
             self._reject_surplus(queue)
-            self._must_wait_for_input = (
-                self._must_wait_for_input and self._is_awaiting_another(queue))
+            self.is_waiting = self.is_waiting and self._is_awaiting_another(queue)
         return reason
 
     def _is_awaiting_another(self, queue: RobotQueue) -> bool:
@@ -291,7 +268,7 @@ class Sequencer:
         self, key: ReleaseKey, of_step: Iterable[RobotQueue], observed: Container[str]
     ) -> Iterator[Step]:
         """Yield the step at a key, unless everything in it is rejected."""
-        self._must_wait_for_input = False
+        self.is_waiting = False
         present: dict[str, RobotQueue] = {}
         for queue in of_step:
             has_event = queue.next_key == key

@@ -73,20 +73,17 @@ class TimeJumpDetector:
     """
     Passes records on to a consumer until time jumps back.
 
-    Parameters
-    ----------
-    consumer : estimator or smoother
-    resets : whether another run follows a jump; if not, all later input is rejected
+    If it `resets`, another run follows the jump; if not, all later input is rejected.
 
     """
 
     def __init__(self, consumer: Consumer, resets: bool = False) -> None:
         self.jump: TimeJump | None = None  #: the jump that ended the run
+        self.held: list[Held] = []  #: records that wait until the cause of their stamps is known
         self._consumer = consumer
         self._resets = resets
         self._newest: dict[Source, int] = {}
         self._backward: dict[str, BackwardOdometry] = {}
-        self._held: list[Held] = []
         self._earlier_end = 0
         self._pending: set[Source] = set()
 
@@ -120,11 +117,6 @@ class TimeJumpDetector:
         for record, _ in self._take_held(robot):
             self._reject(record, RejectionReason.LEFT)
         self._newest = {source: n for source, n in self._newest.items() if source[0] != robot}
-
-    @property
-    def held(self) -> Sequence[Held]:
-        """Return the records that are held until the cause of their stamps is known."""
-        return self._held
 
     def resume(self, held: Sequence[Held]) -> None:
         """
@@ -182,17 +174,17 @@ class TimeJumpDetector:
             begin = min(self._time(), self._time(record.robot) + self._limit)
             self._backward[record.robot] = BackwardOdometry(begin)
         backward = self._backward[record.robot]
-        self._held.append((record, received))
-        while len(self._held) > MAX_HELD_RECORDS or self._has_many_observations(record):
-            self._consumer.add(*self._held.pop(0))
+        self.held.append((record, received))
+        while len(self.held) > MAX_HELD_RECORDS or self._has_many_observations(record):
+            self._consumer.add(*self.held.pop(0))
         if isinstance(record, Odometry):
             backward.add(record.stamp, self._limit)
             self._detect()
 
     def _has_many_observations(self, newest: TimedRecord) -> bool:
         """Return whether the held scans, of which one is the newest record, are too large."""
-        return isinstance(newest, AnyScan) and len(self._held) > 1 and sum(
-            len(held.observations) for held, _ in self._held
+        return isinstance(newest, AnyScan) and len(self.held) > 1 and sum(
+            len(held.observations) for held, _ in self.held
             if isinstance(held, AnyScan)) > MAX_HELD_OBSERVATIONS
 
     def _detect(self) -> None:
@@ -205,14 +197,14 @@ class TimeJumpDetector:
                 for odometry in back.values()):
             return
         now = self._time()
-        pending = self._newest.keys() - {_source(record) for record, _ in self._held}
+        pending = self._newest.keys() - {_source(record) for record, _ in self.held}
         if not self._resets:
-            for record, _ in self._held:
+            for record, _ in self.held:
                 self._reject(record, RejectionReason.AFTER_TIME_JUMP)
-            self._held.clear()
+            self.held.clear()
         first = min(odometry.first for odometry in back.values())
-        self.jump = TimeJump(now - first, now, frozenset(pending), self._held)
-        self._held = []
+        self.jump = TimeJump(now - first, now, frozenset(pending), self.held)
+        self.held = []
 
     def _pass_on_single_jumps(self) -> None:
         """Pass on records of robots that went back while others have continued."""
@@ -230,8 +222,8 @@ class TimeJumpDetector:
     def _take_held(self, robot: str) -> list[Held]:
         """Remove and return the held records of a robot."""
         self._backward.pop(robot, None)
-        taken = [held for held in self._held if held[0].robot == robot]
-        self._held = [held for held in self._held if held[0].robot != robot]
+        taken = [held for held in self.held if held[0].robot == robot]
+        self.held = [held for held in self.held if held[0].robot != robot]
         return taken
 
     def _is_of_earlier_run(self, record: TimedRecord) -> bool:
