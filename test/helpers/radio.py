@@ -50,7 +50,7 @@ class Robot:
     def union(self):
         """Return the smoother of all that the robot knows."""
         contents_of = {name: self.logs.contents(name) for name in self.logs.robots}
-        return smoothed_union(UnionTask(self.settings, contents_of, self.logs.noise(), 10**9))
+        return smoothed_union(UnionTask(self.settings, contents_of, self.logs.noise, 10**9))
 
     def share_rendezvous(self, peer):
         """Send information about a rendezvous; return the alignment."""

@@ -28,7 +28,7 @@ class PosePriors:
         received = identity(prior)
         if memory.contains(received):
             return self._statistics.reject_record(prior, RejectionReason.DUPLICATE)
-        memory.add(received, may_forget=lambda _: True)
+        memory.add(received)
         waiting = self._waiting.setdefault(prior.robot, [])
         insort(waiting, prior, key=_order)
         if len(waiting) <= MAX_WAITING_PRIORS:

@@ -57,7 +57,9 @@ class RecordMemory:
         """Return whether a record of the same kind and stamp was received before."""
         return record.key in self._contents
 
-    def add(self, record: RecordIdentity, may_forget: Callable[[int], bool]) -> None:
+    def add(
+        self, record: RecordIdentity, may_forget: Callable[[int], bool] = lambda _: True
+    ) -> None:
         """
         Remember a new record, and forget the oldest well beyond `MAX_REMEMBERED`.
 

@@ -60,6 +60,7 @@ class ExchangeSettings:
 class PeerState:
     """State of the exchange with another robot."""
 
+    name: str
     last_message: int | None = None  #: time of its last message [ns]
     in_reach_since: int = 0  #: time of the first one since it came in reach [ns]
     run: int | None = None  #: its run by its newest hello
@@ -106,6 +107,10 @@ class PeerState:
             return MAX_ROUND_TRIP
         return max(self.round_trip + ROUND_TRIP_MARGIN, MIN_WAIT)
 
+    def has_listed_all(self) -> bool:
+        """Return whether its hellos have named all its logs."""
+        return self.logs is not None and self.logs <= len(self.known)
+
 
 class PeerExchange:
     """
@@ -113,26 +118,17 @@ class PeerExchange:
 
     Times are passed in, as the core has no clock; they need not agree with those of other robots.
 
-    Parameters
-    ----------
-    logs : of this robot
-    settings : of the exchange
-
-    Attributes
-    ----------
-    peers : the other robots by name
-    bytes_sent, messages_sent : by kind, hello or block
-    rejected_unread : messages that could not be read, by reason
-    held_back : blocks that are not sent yet, set by the caller
-
     """
 
     def __init__(self, logs: TeamLogs, settings: ExchangeSettings) -> None:
         self.logs, self.settings = logs, settings
-        self.peers = {name: PeerState() for name in sorted(settings.peers)}
+        self.peers = {name: PeerState(name) for name in sorted(settings.peers)}
+        #: bytes_sent, messages_sent: by kind, hello or block
         self.bytes_sent: Counter[str] = Counter()
         self.messages_sent: Counter[str] = Counter()
+        #: messages that could not be read, by reason
         self.rejected_unread: Counter[MessageRejection] = Counter()
+        #: blocks that are not sent yet, set by the caller
         self.held_back: Collection[BlockKey] = frozenset()
         self._next_hello: int | None = None
         self._sent_at: dict[BlockKey, int] = {}
@@ -140,7 +136,7 @@ class PeerExchange:
 
     def change_peers(self, names: Iterable[str]) -> None:
         """Exchange data with some robots, and with no others, from now on."""
-        self.peers = {name: self.peers.get(name) or PeerState() for name in sorted(names)}
+        self.peers = {name: self.peers.get(name) or PeerState(name) for name in sorted(names)}
         for peer in self.peers.values():
             # The next hellos list the logs that were unknown so far.
             peer.others.clear()
@@ -189,8 +185,8 @@ class PeerExchange:
         elapsed, self._last = min(now - self._last, MAX_SAVING), now
         rate = self.settings.rate / NS
         self._saved = min(self._saved + rate * elapsed, rate * MAX_SAVING)
-        for other in self.in_reach(now):
-            self.peers[other].waited += elapsed
+        for peer in self._peers_in_reach(now):
+            peer.waited += elapsed
         for name, run, number in self._lacking(now):
             if self._saved <= 0.0:
                 return
@@ -202,14 +198,16 @@ class PeerExchange:
 
     def in_reach(self, now: int) -> list[str]:
         """Return the names of the robots of which a message was received lately."""
-        return [name for name, peer in self.peers.items() if self._is_in_reach(peer, now)]
+        return [peer.name for peer in self._peers_in_reach(now)]
 
     def is_complete(self, now: int) -> bool:
         """Return whether all robots in reach have all that this one has, by their hellos."""
         return all(
-            self._has_listed_all(self.peers[name])
-            and not any(self._missing(self.peers[name], name, waits=False))
-            for name in self.in_reach(now))
+            peer.has_listed_all() and not any(self._missing(peer, waits=False))
+            for peer in self._peers_in_reach(now))
+
+    def _peers_in_reach(self, now: int) -> list[PeerState]:
+        return [peer for peer in self.peers.values() if self._is_in_reach(peer, now)]
 
     def _is_in_reach(self, peer: PeerState, now: int) -> bool:
         limit = REACH_PERIODS * self.settings.period
@@ -256,10 +254,9 @@ class PeerExchange:
 
     def _echoes(self, now: int) -> dict[int, int]:
         """Return the time by the clock of each robot in reach, late by the delay from there."""
-        newest = {name: self.peers[name].hello for name in self.in_reach(now)}
         return {
-            echo_key(name): (hello[0] + now - hello[1]) // MS % ECHO_MODULUS
-            for name, hello in newest.items() if hello is not None}
+            echo_key(peer.name): (peer.hello[0] + now - peer.hello[1]) // MS % ECHO_MODULUS
+            for peer in self._peers_in_reach(now) if peer.hello is not None}
 
     def _is_wanted(self, name: LogName) -> bool:
         """Return whether a log is of the present team."""
@@ -280,7 +277,7 @@ class PeerExchange:
 
         """
         limit = REACH_PERIODS * self.settings.period + max(
-            (self.peers[name].round_trip or 0 for name in self.in_reach(now)), default=0)
+            (peer.round_trip or 0 for peer in self._peers_in_reach(now)), default=0)
         self._sent_at = {
             (name, run, number): at for (name, run, number), at in self._sent_at.items()
             if now - at <= limit or (number > 0 and self.logs.logs[name].run == run)}
@@ -288,45 +285,37 @@ class PeerExchange:
     def _lacking(self, now: int) -> list[BlockKey]:
         """Return the blocks that a robot in reach lacks, in the order in which they are sent."""
         lacking = {
-            block for other in self.in_reach(now)
-            for block, heard in self._missing(self.peers[other], other, self._waits(other))
-            if (sent_at := self._sent_at.get(block)) is None
-            or heard - sent_at >= self.peers[other].wait()}
+            block for peer in self._peers_in_reach(now)
+            for block, heard in self._missing(peer, self._waits(peer))
+            if (sent_at := self._sent_at.get(block)) is None or heard - sent_at >= peer.wait()}
         return sorted(lacking.difference(self.held_back), key=self._priority)
 
-    def _missing(
-        self, peer: PeerState, name: str, waits: bool
-    ) -> Iterator[tuple[BlockKey, int]]:
+    def _missing(self, peer: PeerState, waits: bool) -> Iterator[tuple[BlockKey, int]]:
         """
         Yield the blocks that a robot lacks, and when it reported so [ns].
 
         Measurements are left out while they wait for rendezvous information.
 
         """
-        if not self._has_listed_all(peer):
+        if not peer.has_listed_all():
             return
         for log in self.logs.logs.values():
             about = log.name.about
-            if log.name.author != name and (about == name or not (about or waits)):
+            if log.name.author != peer.name and (about == peer.name or not (about or waits)):
                 heard, known = peer.known.get(log.name, (peer.in_reach_since, None))
                 for number in log.missing(known):
                     yield (log.name, log.run, number), heard
 
-    def _waits(self, name: str) -> bool:
+    def _waits(self, peer: PeerState) -> bool:
         """Return whether measurements for a robot wait for rendezvous information."""
-        peer = self.peers[name]
-        return peer.waited < self.settings.information_first and not (
-            self._has_information(peer, name))
+        return peer.waited < self.settings.information_first and not self._has_information(peer)
 
-    def _has_listed_all(self, peer: PeerState) -> bool:
-        return peer.logs is not None and peer.logs <= len(peer.known)
-
-    def _has_information(self, peer: PeerState, name: str) -> bool:
+    def _has_information(self, peer: PeerState) -> bool:
         """Return whether both robots have the rendezvous information of each other."""
-        sent = self.logs.logs.get(LogName(self.logs.robot, name))
-        received = self.logs.logs.get(LogName(name, self.logs.robot))
-        _, known = peer.known.get(LogName(self.logs.robot, name), (0, None))
-        _, written = peer.known.get(LogName(name, self.logs.robot), (0, None))
+        ours, theirs = LogName(self.logs.robot, peer.name), LogName(peer.name, self.logs.robot)
+        sent, received = self.logs.logs.get(ours), self.logs.logs.get(theirs)
+        _, known = peer.known.get(ours, (0, None))
+        _, written = peer.known.get(theirs, (0, None))
         return (
             sent is not None and known is not None and next(sent.missing(known), None) is None
             # Hellos of its author say how many blocks the information has.

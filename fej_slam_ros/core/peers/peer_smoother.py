@@ -39,19 +39,7 @@ class PeerSmoother(TeamSmoother):
     """
     Trajectory of one robot, and trajectories and maps of all robots of which it has logs.
 
-    Parameters
-    ----------
-    settings : of the whole team
-    robot : name of its own robot
-    logs : that it knows; own measurements in them have been used before
-    solve_every : as for `TeamSmoother`
-
-    Attributes
-    ----------
-    robot : name of its own robot
-    logs : that it knows
-    rendezvous_results : result of the latest rendezvous with each robot, by name
-    observed : number of own observations of each robot
+    It begins with the own measurements that are in the logs already.
 
     """
 
@@ -62,8 +50,9 @@ class PeerSmoother(TeamSmoother):
         super().__init__(replace(settings, robots=own), solve_every)
         self.robot, self.logs = robot, logs
         self.robots = {member.name: member for member in settings.robots}
+        #: result of the latest rendezvous with each robot
         self.rendezvous_results: dict[str, RendezvousResult] = {}
-        self.observed: Counter[str] = Counter()
+        self.observed: Counter[str] = Counter()  #: number of own observations of each robot
         self._team_settings = settings
         self._union: TeamSmoother | None = None
         self._robot_scans = RecordMemory()
@@ -104,7 +93,7 @@ class PeerSmoother(TeamSmoother):
         return UnionTask(
             self._team_settings,
             {robot: self.logs.contents(robot) for robot in self.logs.robots},
-            dict(self.logs.noise()), self._solve_every,
+            dict(self.logs.noise), self._solve_every,
             {} if own is None else {self.robot: own.newest().stamp})
 
     def adopt_union(self, union: TeamSmoother) -> None:
@@ -179,7 +168,7 @@ class PeerSmoother(TeamSmoother):
             return self.statistics.reject_record(record, RejectionReason.DUPLICATE)
         if len(record.observations) > self.settings.max_observations:
             return self.statistics.reject_record(record, RejectionReason.TOO_LARGE)
-        self._robot_scans.add(known, lambda stamp: True)
+        self._robot_scans.add(known)
         self.statistics.observations_used[record.robot] += len(record.observations)
         self.observed.update(o.observed for o in record.observations)
         self.new_measurements += len(record.observations)

@@ -108,9 +108,10 @@ def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
         information = local.rendezvous_information(np.array([index[t] for t in stamps], np.intp))
     except NoMinimumError:
         return None
+    # The first pose, which is fixed in the map, was added if it is not one of the rendezvous.
+    added = [min(index)] if len(information.poses) > len(stamps) else []
     sent = WindowInformation(
-        (*stamps, *_start_stamp(information, index, stamps)), information,
-        tuple(scan for scan in own if scan.stamp in index))
+        (*stamps, *added), information, tuple(scan for scan in own if scan.stamp in index))
     if theirs is None:
         return RendezvousResult(
             write(sent), JoinFailure(f'{task.peer} has sent no rendezvous information'),
@@ -194,13 +195,6 @@ def _local_map(
         raise NoMinimumError(f'{robot.name} has not moved')
     local = JointMap.of(trajectory.local_map(robot.name))
     return local, {stamp: k for k, stamp in enumerate(trajectory.stamps)}
-
-
-def _start_stamp(
-    information: RendezvousInformation, index: dict[int, int], stamps: Sequence[int]
-) -> list[int]:
-    """Return the stamp of the first pose, if it was added to those of the rendezvous."""
-    return [min(index)] if len(information.poses) > len(stamps) else []
 
 
 def _aligned(

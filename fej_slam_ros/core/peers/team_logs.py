@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All logs that a robot knows: its own ones, which it writes, and those it was given."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 import struct
 from typing import Any, NamedTuple
@@ -61,19 +61,7 @@ class TeamLogs:
 
     The first block of a log of measurements is the noise of its author, so that whoever has the
     log can process it as its author does, and its team parameters. The log of a robot with other
-    ones is rejected.
-
-    Parameters
-    ----------
-    robot : name of the robot
-    run : number of its present run, later ones have larger numbers
-    noise : its noise
-    parameters : of its team
-
-    Attributes
-    ----------
-    logs : all logs by name
-    differing : name of the parameter that differs from that of this robot, by rejected robot
+    ones is rejected. Each run of a robot has a larger number than the ones before.
 
     """
 
@@ -82,19 +70,20 @@ class TeamLogs:
         parameters: TeamParameters = DEFAULT_PARAMETERS,
     ) -> None:
         self.robot, self.run = robot, run
+        self.logs: dict[LogName, Log] = {}  #: all logs
+        self.noise: dict[str, NoiseSettings] = {}  #: of each robot with measurements
+        #: name of the parameter that differs from that of this robot, by rejected robot
         self.differing: dict[str, str] = {}
         self._parameters = parameters
-        self.logs: dict[LogName, Log] = {}
         # The latest run of rendezvous information of which the first block has not arrived.
         self._next_information: dict[LogName, Log] = {}
         # The last measurement of each log, which the next block may continue.
         self._last: dict[str, list[Measurement]] = {}
-        self._noise: dict[str, NoiseSettings] = {}
         self._pending: list[Measurement] = []
         self._unchecked = 0
         self._new_blocks: list[Block] = []
         self._write(LogName(robot), [_first_block(noise, parameters)])
-        self._noise[robot] = noise_of(noise)
+        self.noise[robot] = noise_of(noise)
 
     def record(self, measurement: Measurement) -> None:
         """Add an own measurement to the log."""
@@ -173,12 +162,7 @@ class TeamLogs:
     @property
     def robots(self) -> list[str]:
         """Return the names of the robots with measurements: this one, and others by name."""
-        others = sorted(self._noise.keys() - {self.robot})
-        return [self.robot, *others]
-
-    def noise(self) -> Mapping[str, NoiseSettings]:
-        """Return the noise of each robot by name."""
-        return self._noise
+        return [self.robot, *sorted(self.noise.keys() - {self.robot})]
 
     def contents(self, robot: str) -> LogContents:
         """Return the measurements of a robot, without those that wait for a missing block."""
@@ -220,7 +204,7 @@ class TeamLogs:
         self._next_information.pop(log.name, None)
         if not log.name.about:
             self._last.pop(log.name.author, None)
-            self._noise.pop(log.name.author, None)
+            self.noise.pop(log.name.author, None)
             self.differing.pop(log.name.author, None)
 
     def _append_ahead(self, log: Log) -> None:
@@ -242,7 +226,7 @@ class TeamLogs:
     def _use(self, author: str, block: Block) -> None:
         content = self._checked_content(block)
         if isinstance(content, NoiseSettings):
-            self._noise[author] = content
+            self.noise[author] = content
         else:
             known = [*self._last.get(author, ())]
             if not _appended(known, content):

@@ -10,6 +10,7 @@ on when or from which robot they arrived: robots with the same logs have the sam
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from heapq import merge
+from operator import attrgetter
 import sys
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
@@ -34,10 +35,11 @@ class UnionTask:
 
 def smoothed_union(task: UnionTask) -> TeamSmoother:
     """Return the smoother of all measurements, with their solution."""
-    logs = (
-        sorted(_measurements(log, task.until.get(robot)), key=_stamp)
-        for robot, log in sorted(task.logs.items()))
-    team = unsolved(team_settings(task), merge(*logs, key=_stamp), task.solve_every)
+    by_stamp, logs = attrgetter('stamp'), []
+    for robot, log in sorted(task.logs.items()):
+        until = task.until.get(robot, sys.maxsize)
+        logs.append(sorted((m for m in log.measurements() if m.stamp <= until), key=by_stamp))
+    team = unsolved(team_settings(task), merge(*logs, key=by_stamp), task.solve_every)
     team.adopt(solve(team.task()))
     return team
 
@@ -63,11 +65,3 @@ def team_settings(task: UnionTask) -> Settings:
         replace(robot, **vars(task.noise[robot.name])) for robot in task.settings.robots
         if robot.name in task.noise]
     return replace(task.settings, robots=tuple(robots))
-
-
-def _measurements(log: LogContents, until: int | None) -> Iterable[Measurement]:
-    return (m for m in log.measurements() if until is None or m.stamp <= until)
-
-
-def _stamp(record: Measurement) -> int:
-    return record.stamp

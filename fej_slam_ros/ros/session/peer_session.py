@@ -142,7 +142,7 @@ class PeerSession(SmootherSession):
                     ' it away to begin a new run') from None
             raise UserError(
                 f'{file} is damaged ({rejected}): move it away to begin a new run') from None
-        if blocks and logs.noise()[logs.robot] != noise_of(own):
+        if blocks and logs.noise[logs.robot] != noise_of(own):
             raise UserError(
                 f'{file} was written with another noise of {logs.robot}: give the noise it had, or'
                 ' move it away to begin a new run')

@@ -66,7 +66,7 @@ def test_all_orders_and_repetitions_of_blocks_give_the_same_log():
 
         assert new == len(blocks)
         assert contents(logs.contents('q').measurements()) == contents(records)
-        assert logs.noise()['q'] == NOISE
+        assert logs.noise['q'] == NOISE
         assert logs.logs[LogName('q')].digests == sender.logs[LogName('q')].digests
 
 
