@@ -136,9 +136,7 @@ class PoseEvaluation:
     """
     Errors of poses in ``map``, as soon as the ground truth at their stamps is known.
 
-    Parameters
-    ----------
-    truth : the ground truth, which is dropped behind the newest scored estimate of each robot
+    Ground truth before the newest scored estimate of a robot is dropped.
 
     """
 

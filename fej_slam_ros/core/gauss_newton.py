@@ -62,18 +62,11 @@ class LeastSquares(Protocol[X, L]):
 
 
 class NielsenDamping:
-    """
-    Nielsen's rule, but zero until a step fails and zero again once it is small.
-
-    Attributes
-    ----------
-    value : fraction of the diagonal of A^T A that is added to it
-    rejected : number of failed steps
-
-    """
+    """Nielsen's rule, but zero until a step fails and zero again once it is small."""
 
     def __init__(self) -> None:
-        self.value, self.rejected = 0.0, 0
+        self.value = 0.0  #: fraction of the diagonal of A^T A that is added to it
+        self.rejected = 0  #: number of failed steps
         self._growth = 2.0
 
     def accepts(self, before: float, after: float, decrease: float) -> bool:

@@ -27,15 +27,10 @@ def start_landmarks(
     filter_: Filter, scan: Scan, most: int, reason: RejectionReason, statistics: InputStatistics
 ) -> list[Association]:
     """
-    Start unknown landmarks of a scan; return the associations of its other observations.
+    Start unknown landmarks of a scan with IDs; return the associations of its other observations.
 
-    Parameters
-    ----------
-    filter_ : of the frame of the robot
-    scan : has an ID for each observation
-    most : maximum number of landmarks to start
-    reason : why the observations of further landmarks are rejected
-    statistics : counts these, and those that an ending process leaves out
+    At most `most` landmarks are started; the observations of further ones are rejected for the
+    given reason, and those that an ending process leaves out as interrupted.
 
     """
     if not scan.observations:

@@ -36,10 +36,7 @@ def with_matched_ids(
     """
     Return records with the IDs of the landmarks that observations without ID match.
 
-    Parameters
-    ----------
-    settings : of the estimator that matches them, but for its filter
-    records, prior, on_step : as for `match`
+    The parameters are those of `match`, but that the filter is always `FILTER`.
 
     """
     matches = match(replace(settings, filter=FILTER), records, prior, on_step)

@@ -64,17 +64,9 @@ def fit_to_truth(
     odometry: Sequence[Odometry], truth: RecordedTruth, given: Array
 ) -> OdometryErrors | None:
     """
-    Return the errors of the odometry of a robot by its ground truth.
+    Return the errors of the odometry of a robot by its true poses, None if these are too few.
 
-    Parameters
-    ----------
-    odometry : of one robot
-    truth : true poses
-    given : (3,) array, errors where the data do not determine them
-
-    Returns
-    -------
-    The errors, None if there is too little ground truth.
+    Errors that the data do not determine are as `given`, a (3,) array.
 
     """
     intervals = _true_intervals(odometry, truth)
@@ -122,16 +114,10 @@ def fit_to_landmarks(
     odometry: Sequence[Odometry], scans: Sequence[Scan], given: Array
 ) -> OdometryErrors | None:
     """
-    Return the errors of the odometry of a robot, by its observations of landmarks.
+    Return the errors of the odometry of a robot by its observations of landmarks, both by stamps.
 
-    Parameters
-    ----------
-    odometry, scans : of one robot, by stamps; observations are in its base frame
-    given : (3,) array, errors where the data do not determine them
-
-    Returns
-    -------
-    The errors, None if too few landmarks are observed again.
+    None if too few landmarks are observed again. Errors that the data do not determine are as
+    `given`, a (3,) array.
 
     """
     pairs = observation_pairs(odometry, scans, MAX_LANDMARK_TIME)
@@ -167,13 +153,9 @@ def _significant(
     residuals: Residuals, stamps: NDArray[np.int64], given: Array
 ) -> OdometryErrors:
     """
-    Return the errors that the data show; what they do not determine is as given.
+    Return the errors that the data show; what they do not determine is as `given`, a (3,) array.
 
-    Parameters
-    ----------
-    residuals : as many of each pair
-    stamps : of the pairs [ns]
-    given : (3,) array, errors where the data do not determine them
+    There are as many residuals of each pair, in the order of the `stamps` [ns] of the pairs.
 
     """
     pairs, (_, block) = len(stamps), np.unique(stamps // BLOCK_TIME, return_inverse=True)

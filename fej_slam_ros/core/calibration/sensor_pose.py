@@ -30,11 +30,13 @@ MAX_FOLLOW_TIME, MAX_FOLLOW_DISTANCE = NS // 2, 0.4
 MIN_OBSERVATION_PAIRS, MAX_OBSERVATION_PAIRS = 60, 2_000
 #: Error of odometry between the observations of a pair [m].
 PAIR_ODOMETRY_SIGMA = 0.02
-#: Smallest mean square change of a difference by such an error that determines a pose.
-MIN_WEIGHT = 0.1
-#: Scale of the errors of a pose (m, m, rad), and the weight of a pair below which the motion does
-#: not determine one: on circles about one centre, turns about it change nothing.
+#: Error of a sensor pose [m, m, rad] that is large, and the weight for each pair of the prior that
+#: keeps the pose near the given one where the motion does not determine it: on circles about one
+#: centre, turns about it change nothing.
 POSE_SCALE, WEIGHT = np.array([0.5, 0.5, 0.5]), 0.2
+#: Minimum mean square change of the normalised differences by such an error; with less, the motion
+#: does not determine the pose.
+MIN_WEIGHT = 0.1
 #: Largest error of stamps that is looked for [s].
 MAX_STAMP_ERROR = 0.5
 
@@ -62,15 +64,9 @@ class SensorFit:
 
 def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit | None:
     """
-    Return how observations of landmarks agree with the odometry of their robot.
+    Return how observations of landmarks agree with the odometry of their robot, both by stamps.
 
-    Parameters
-    ----------
-    odometry, scans : of one robot, by stamps; observations are in its base frame
-
-    Returns
-    -------
-    The fit, None if there are too few pairs of observations while odometry was there.
+    None if there are too few pairs of observations while odometry was there.
 
     """
     pairs = observation_pairs(odometry, scans, PAIR_TIME)
@@ -81,11 +77,11 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
     delay = float(minimize_scalar(
         lambda delay: pairs.at_odometry(delay).agreement(none),
         bounds=(-MAX_STAMP_ERROR, MAX_STAMP_ERROR), method='bounded').x)
-    turned = pairs.mirrored().at_odometry(0.0)
+    mirrored = replace(pairs, z=pairs.z * [1.0, -1.0]).at_odometry(0.0)
     return SensorFit(
         len(pairs.sigma), given.agreement(none), given.agreement(pose), pose,
         given.is_determined(pose), pairs.at_odometry(delay).agreement(none), delay,
-        turned.agreement(turned.fitted()))
+        mirrored.agreement(mirrored.fitted()))
 
 
 def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:
@@ -99,13 +95,25 @@ def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:
 def observation_pairs(
     odometry: Sequence[Odometry], scans: Sequence[Scan], apart: int
 ) -> 'ObservationPairs':
-    """Return pairs of observations of one landmark, at most a time [ns] apart."""
-    stamps, poses = trajectory(odometry)
+    """Return each observation with the latest one of the same landmark up to a time [ns] later."""
+    known, poses = trajectory(odometry)
     margin = round(MAX_STAMP_ERROR * NS)
-    inside = [
-        scan for scan in scans if len(stamps)
-        and stamps[0] + margin < scan.stamp < stamps[-1] - margin]
-    return ObservationPairs.of(list(_identified(inside)), stamps, poses, apart)
+    inside = [*_identified([
+        scan for scan in scans if len(known)
+        and known[0] + margin < scan.stamp < known[-1] - margin])]
+    times = np.array([scan.stamp for scan in inside], np.int64)
+    rows = [
+        (scan.stamp, other.stamp, scan.z[id_], other.z[id_],
+         scan.variance[id_] + other.variance[id_])
+        for scan in inside
+        for other in [inside[int(np.searchsorted(times, scan.stamp + apart, 'right')) - 1]]
+        if other.stamp > scan.stamp for id_ in scan.z.keys() & other.z.keys()]
+    rows = rows[::max(1, len(rows) // MAX_OBSERVATION_PAIRS)]
+    variances = np.array([row[4] for row in rows])
+    return ObservationPairs(
+        np.array([row[:2] for row in rows], np.int64).reshape(-1, 2).T,
+        np.array([row[2:4] for row in rows]).reshape(-1, 2, 2).transpose(1, 0, 2),
+        np.sqrt(variances + PAIR_ODOMETRY_SIGMA**2), known, poses)
 
 
 class _Identified(NamedTuple):
@@ -155,29 +163,6 @@ class ObservationPairs:
     sigma: Array  #: (n,) array, standard deviation of a difference of both [m]
     known: Stamps  #: (k,) array, stamps of odometry [ns]
     poses: Array  #: (k, 3) array, odometry
-
-    @classmethod
-    def of(
-        cls, scans: Sequence[_Identified], known: Stamps, poses: Array, apart: int
-    ) -> 'ObservationPairs':
-        """Return pairs of observations at most a time [ns] apart, each with the latest such."""
-        times = np.array([scan.stamp for scan in scans], np.int64)
-        rows = [
-            (scan.stamp, other.stamp, scan.z[id_], other.z[id_],
-             scan.variance[id_] + other.variance[id_])
-            for k, scan in enumerate(scans)
-            for other in [scans[int(np.searchsorted(times, scan.stamp + apart, 'right')) - 1]]
-            if other.stamp > scan.stamp for id_ in scan.z.keys() & other.z.keys()]
-        rows = rows[::max(1, len(rows) // MAX_OBSERVATION_PAIRS)]
-        stamps = np.array([row[:2] for row in rows], np.int64).reshape(-1, 2).T
-        variances = np.array([row[4] for row in rows])
-        return cls(
-            stamps, np.array([row[2:4] for row in rows]).reshape(-1, 2, 2).transpose(1, 0, 2),
-            np.sqrt(variances + PAIR_ODOMETRY_SIGMA**2), known, poses)
-
-    def mirrored(self) -> 'ObservationPairs':
-        """Return the pairs with left and right exchanged."""
-        return replace(self, z=self.z * [1.0, -1.0])
 
     def at_odometry(self, delay: float) -> '_PlacedPairs':
         """Return the pairs with the poses of the robot, for stamps late by a delay [s]."""

@@ -148,7 +148,7 @@ def _beyond(own: JointMap, limit: float) -> dict[int, float]:
 
 
 def _worst(own: JointMap, limit: float) -> dict[int, float]:
-    """Return the rows and d2 of the outliers that are removed at a time."""
+    """Return the rows and d2 of the outliers that one round removes."""
     factors, d2 = _distances(own)
     # An outlier worsens the fit of other observations, so that only the worst ones are certain:
     # those that fit worst of their pose and of their landmark, with a large d2.

@@ -68,7 +68,7 @@ class Sequencer:
         self.change_team(settings.robots)
 
     def change_limits(self, settings: CommonSettings) -> None:
-        """Use other limits of delays, once `change_team` has passed them to all robots."""
+        """Use other limits of delays; `change_team` is to follow and passes them to the queues."""
         self.is_waiting = False
         self._settings = settings
         self._max_delay = round(settings.max_delay * NS)

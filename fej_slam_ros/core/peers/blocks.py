@@ -41,7 +41,7 @@ class RestOfScan(Scan):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RestOfRobotScan(RobotScan):
-    """The same of a robot scan."""
+    """Further observations of the robot scan before it."""
 
 
 #: Kinds of measurements; odometry comes without or with a covariance.

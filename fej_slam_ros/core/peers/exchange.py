@@ -28,7 +28,7 @@ REACH_PERIODS = 4
 #: Shortest time [ns] after which a hello that still lacks a block shows that it was lost; less
 #: makes no difference, as hellos come at their period.
 MIN_WAIT = NS // 5
-#: Longest round trip [ns] that is believed, which is also assumed before any is known: that of a
+#: Longest round trip [ns] that is accepted, which is also assumed before any is known: that of a
 #: satellite link with a queue.
 MAX_ROUND_TRIP = 10 * NS
 #: Time [ns] by which a round trip may be longer than the measured ones before.
