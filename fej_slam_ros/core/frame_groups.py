@@ -166,8 +166,8 @@ class FrameGroups:
     def restart(self, robot: str, stamp: int, reason: str) -> None:
         """Restart a robot whose pose is unknown: it relocalizes by joining with a new map."""
         self._take_out(robot)
-        # An anchor that has observed no landmark yet may begin ``map`` anew where it is, unless
-        # that is a given place: then there is no step 0.
+        # An anchor that has observed no landmark yet may define ``map`` again by its present pose,
+        # unless ``map`` is given otherwise: then there is no step 0.
         if robot == self._settings.anchor and (
                 self.is_map_given() or robot in self._void_starts):
             self.is_initialized = True

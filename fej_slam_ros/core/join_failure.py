@@ -21,7 +21,7 @@ class JoinFailure:
     outlying_landmarks: tuple[LandmarkKey, ...] = ()
 
     def has_outliers(self) -> bool:
-        """Return whether the maps may join without what contradicts the rest."""
+        """Return whether the maps may join without the outliers."""
         return self.outlier is not None or bool(self.outlying_landmarks)
 
 

@@ -1,10 +1,10 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Matching of the observations without ID of a whole run, for what needs to know their landmarks.
+Matching of the observations without ID of a whole run, for the smoother and for calibration.
 
-What the estimator found at last counts: a landmark that it mapped twice and then merged has one
-ID, and observations of a landmark that it deleted have none.
+The associations at the end of the run count: a landmark that was mapped twice and then merged has
+one ID, and observations of a landmark that was deleted have none.
 """
 
 from collections import Counter

@@ -24,7 +24,7 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 
 class Quarantine:
-    """Restarts robots, and restricts what robots that may be lost contribute."""
+    """Restarts robots, and restricts the input of robots that may be lost."""
 
     def __init__(
         self, groups: FrameGroups, statistics: InputStatistics, lost_robots: LostRobotDetector
@@ -85,8 +85,8 @@ class Quarantine:
         """
         Restart robots whose observations without ID fit several places, if they can join again.
 
-        They are sure of nothing in this frame, but can map in a frame of their own, which is
-        compared as a whole.
+        None of these observations can be used in this frame. In a frame of its own a robot can map
+        with them, and that map is compared as a whole.
 
         """
         for robot in robots:
@@ -99,8 +99,8 @@ class Quarantine:
         """
         Return a scan, restricted to known landmarks if its robot may be lost.
 
-        Of a scan with too few of them to check the pose, none is kept. What is left out is
-        rejected.
+        A scan with too few of them to check the pose keeps none. Observations that are left out
+        are rejected.
 
         """
         robot, parts = scan.with_ids.robot, (scan.with_ids, scan.associated)

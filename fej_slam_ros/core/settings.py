@@ -4,8 +4,8 @@
 Settings on which the result of an estimation depends; times in s, lengths in m, angles in rad.
 
 Names, defaults, units, ranges and help of the parameters are declared here, once: a field that is
-a `parameter` is a ROS parameter of the same name. ``Common...`` classes hold what both the
-estimator and the smoother read; their subclasses add what only the estimator reads.
+a `parameter` is a ROS parameter of the same name. ``Common...`` classes hold the parameters of
+both the estimator and the smoother; their subclasses add those of one of them.
 """
 
 from dataclasses import dataclass, field, fields, KW_ONLY

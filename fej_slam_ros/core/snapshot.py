@@ -67,7 +67,7 @@ from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 from fej_slam_ros.core.team_joiner import TeamJoiner
 
 Plain = Any
-#: What snapshots are taken of.
+#: An estimator or a smoother.
 ConsumerT = TypeVar('ConsumerT', Estimator, TeamSmoother)
 
 #: All classes that a snapshot may contain.

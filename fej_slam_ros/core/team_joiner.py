@@ -58,11 +58,11 @@ class TeamJoiner:
         self._statistics = statistics
         self._pose_priors = pose_priors
         self._joiner = _map_joiner(settings)
-        # When the landmarks without ID of two groups were compared [ns], and why they do not join,
-        # by the owners of the groups.
+        # By the owners of two groups: when their landmarks without ID were compared [ns], and why
+        # they do not join.
         self._compared: dict[tuple[str, str], tuple[int, str]] = {}
-        # When joining them is attempted again [ns], how many landmarks they shared when it failed,
-        # and why, likewise.
+        # By the owners of two groups: when joining them is attempted again [ns], how many
+        # landmarks they shared when it failed, and why.
         self._postponed: dict[tuple[str, str], tuple[int, int, str]] = {}
 
     def change_settings(self, settings: Settings) -> None:
@@ -199,7 +199,7 @@ class TeamJoiner:
                 self._groups.not_in_map.update(dict.fromkeys(group.robots, failure.reason))
 
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
-        """Join another group to a group; on failure, remove what contradicts the rest."""
+        """Join another group to a group; on failure, remove the outliers."""
         failure = self._join_by_shared(group, other)
         if failure is not None and not failure.has_outliers() and all(
                 count_without_id(frame_group.state) for frame_group in (group, other)):

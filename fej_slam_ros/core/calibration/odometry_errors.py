@@ -82,11 +82,11 @@ def fit_to_truth(
         moved = corrected_trajectory(known, poses, values)
         e = pose_error(true, models.h_pose(*(
             poses_at(times, known, moved) for times in (firsts, lasts))))
-        # In the measure of odometry: its noise would otherwise be least with the scale 0.
+        # Relative to the scale: otherwise the scale 0, at which odometry has no noise, fits best.
         scaled: Array = e / values[[0, 0, 1]]
         return scaled
 
-    # Metres and radians are made comparable by what remains with the errors of a first fit.
+    # Metres and radians are made comparable by the residuals of a first fit.
     first = _least(lambda values: errors(values).ravel(), NO_ERRORS, np.ones(3, bool))
     spread = SIGMA_PER_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
     return _significant(
@@ -153,7 +153,7 @@ def _significant(
     residuals: Residuals, stamps: NDArray[np.int64], given: Array
 ) -> OdometryErrors:
     """
-    Return the errors that the data show; what they do not determine is as `given`, a (3,) array.
+    Return the errors that the data show; those not determined are as `given`, a (3,) array.
 
     There are as many residuals of each pair, in the order of the `stamps` [ns] of the pairs.
 

@@ -4,9 +4,9 @@
 Choice among several rendezvous of two maps: the largest set of which any two agree.
 
 Each rendezvous alone gives a base node by Algorithm 1 of [Andersson]. Two of them agree if their
-base nodes differ by no more than their covariances allow. What the drift of the maps adds to both
-is counted twice: this finds a rendezvous that is wrong, and leaves one that is inaccurate to the
-test against the joint map. This is pairwise consistency maximisation (Mangelson et al., Pairwise
+base nodes differ by no more than their covariances allow. The drift of the maps, an error of both,
+is counted twice: wrong rendezvous are found, and inaccurate ones are left to the test against the
+joint map. This is pairwise consistency maximisation (Mangelson et al., Pairwise
 Consistent Measurement Set Maximization, ICRA 2018); of at most `MAX_COMPARED` all sets are tried.
 """
 

@@ -62,7 +62,7 @@ class JointMap:
     #: chi_square, dof: cost of the minimum, and its degrees of freedom
     chi_square: float = 0.0
     dof: int = 0
-    #: what `information` has found, of no poses within chains
+    #: the result of `information` without poses within chains, once it was found
     _information: list[Information] = field(default_factory=list, init=False, repr=False)
 
     @classmethod

@@ -58,7 +58,7 @@ def without_outliers(own: JointMap, probability: float) -> tuple[JointMap, list[
     complete = _minimum(own)
     if complete is not None and not _worst(complete, limit):
         return complete, []
-    # Outliers also displace what is correct, most of all where they prevent a minimum.
+    # Outliers worsen the fit of correct observations, most of all where they prevent a minimum.
     robust = _minimum(own, ROBUST_LOSS) or _minimum(
         replace(own, values=_by_odometry(own)), ROBUST_LOSS)
     kept, outliers = (complete or own, []) if robust is None else _without(
@@ -87,7 +87,7 @@ def without_landmarks(
     ----------
     joint : map
     d2 : squared Mahalanobis distance by which each landmark contradicts others, by a key
-    limit : what it exceeds
+    limit : limit that these distances exceed
 
     """
     factors, index = joint.problem.landmarks, joint.landmark_index()

@@ -135,7 +135,7 @@ class RobotTrajectory:
             Values(trajectory.poses, solved.points[trajectory.landmarks]), trajectory.near)
 
     def why_lost(self) -> str:
-        """Return what a lost robot lacks."""
+        """Return why a robot is still lost."""
         return (
             f'it is lost: {len(self._observed_again())} of the landmarks of its map are observed'
             f' again, needs {MIN_FOUND} that fit')

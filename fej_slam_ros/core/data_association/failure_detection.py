@@ -22,7 +22,7 @@ MISSED_BY_LOST = 0.8
 MAX_INCONCLUSIVE = 10
 
 #: Numbers of scans and of observations without ID in a row that all fit several landmarks, after
-#: which a robot maps anew. Where a robot is not lost, two such scans in a row are rare.
+#: which a robot restarts. Where a robot is not lost, two such scans in a row are rare.
 AMBIGUOUS_SCANS, AMBIGUOUS_OBSERVATIONS = 5, 15
 
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.

@@ -25,11 +25,11 @@ def update_trust(
     state: JointState, innovation: Innovation, statistics: StatisticsByRobot, stamp: int
 ) -> list[Rejection]:
     """
-    Trust the landmarks of scans that confirm the robot's pose; remove what other scans started.
+    Trust landmarks in scans that confirm the robot's pose; remove those that wrong scans started.
 
     A robot that is not where it is estimated starts landmarks that fit its pose and nothing else.
     They are not trusted, for they were never observed together with landmarks that are. Returns
-    the observations that started what is removed as rejected.
+    the rejections of the observations that started the removed landmarks.
 
     """
     confirmed = {name for name, scan in statistics.items() if scan.confirms_pose()}

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Joining a frame group to another one, e.g. the team, if what both share determines how they relate.
+Joining a frame group to another one, e.g. the team, by the variables that both share.
 
 Their filters have run separately so far. :mod:`fej_slam_ros.core.joining.frame_fit` finds the pose
 of one frame in the other, and :mod:`fej_slam_ros.core.joining.joined_state` the state of both.

@@ -3,7 +3,7 @@
 """
 Shared landmarks of two maps that contradict the others: moved, or mapped at a wrong place.
 
-A few of them must not keep two maps apart for ever. The pose of one map in the other is found
+A few of them must not prevent a join. The pose of one map in the other is found
 without them by consensus, see :mod:`fej_slam_ros.core.point_consensus`.
 """
 

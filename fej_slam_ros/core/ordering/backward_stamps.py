@@ -57,7 +57,7 @@ def recorded_order(stamps: Stamps) -> Indices:
     """
     Return the order in which rows were recorded, where blocks of them were written late.
 
-    Two blocks in the wrong order leave three jumps, and each continues what is next to the other.
+    Two blocks in the wrong order leave three jumps, and each continues the rows next to the other.
     Their own order says on which side of a step of the clock they were recorded; sorted by stamp,
     it is lost.
     """
@@ -79,7 +79,7 @@ def breaks(stamps: Stamps) -> list[int]:
     """
     Return the rows at which a log continues with another clock, or another recording.
 
-    The log is divided at the step back where its rows mix most, then both parts likewise, but no
+    The log is divided at the step back where its rows mix most, then both parts again, but no
     further than into `MAX_PARTS`.
     """
     step, found = period(stamps), list[int]()

@@ -12,7 +12,7 @@ from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
 
 class Consumer(Protocol):
-    """An estimator or smoother, or what collects their records: it counts rejections."""
+    """An estimator or smoother, or a collector of their records; it counts rejections."""
 
     statistics: InputStatistics
 

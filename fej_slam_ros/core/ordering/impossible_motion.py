@@ -4,7 +4,7 @@
 Odometry that cannot be the motion of a robot.
 
 A driver that restarts may continue at another pose, or at its origin again. The limits are far
-above any ground robot; what they do not find, the gate finds by the observations.
+above any ground robot; smaller jumps are found by the gate on observations.
 """
 
 import math

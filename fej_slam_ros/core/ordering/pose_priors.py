@@ -61,5 +61,5 @@ class PosePriors:
 
 
 def _order(prior: PosePrior) -> tuple[int, list[float]]:
-    """Return what sorts priors: the stamp, then the content, never the order of arrival."""
+    """Return the sort key of a prior: its stamp, then its content, not the order of arrival."""
     return prior.stamp, [*prior.pose.tolist(), *prior.P.ravel().tolist()]

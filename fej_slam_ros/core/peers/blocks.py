@@ -21,7 +21,7 @@ from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import (
     AnyObservation, AnyScan, NS, Observation, Odometry, RobotObservation, RobotScan, Scan)
 
-#: What a robot measures.
+#: A measurement of a robot.
 Measurement = Odometry | AnyScan
 #: Largest size of a block before compression [bytes].
 MAX_CONTENT = 65_536
@@ -52,7 +52,7 @@ _KIND_OF = {record_type: kind for kind, record_type in (_SCANS | _ROBOT_SCANS).i
 
 
 class BadBlockError(ValueError):
-    """A block does not contain what a robot can have measured."""
+    """The content of a block cannot be measurements of a robot."""
 
 
 def encoded(records: Sequence[Measurement]) -> bytes:

@@ -263,7 +263,7 @@ class PeerExchange:
         return is_of_team(name, {self.logs.robot, *self.peers})
 
     def _known(self) -> list[Knowledge]:
-        """Return what is known of all logs; no more is wanted of those of former peers."""
+        """Return the knowledge of all logs; those of former peers count as ended."""
         return [
             log.knowledge() if self._is_wanted(name) else replace(log.knowledge(), is_ended=True)
             for name, log in self.logs.logs.items()]
@@ -323,7 +323,7 @@ class PeerExchange:
             and len(received.blocks) >= written.count)
 
     def _priority(self, block: BlockKey) -> tuple[bool, bool, LogName, int, int]:
-        """Return what sorts blocks: rendezvous information, own measurements, the oldest first."""
+        """Return the sort key: rendezvous information, own measurements, the oldest first."""
         name, run, number = block
         return not name.about, name.author != self.logs.robot, name, run, number
 

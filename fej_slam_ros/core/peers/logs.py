@@ -1,12 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Logs that grow at their end only, and what several robots know of them.
+Logs that grow at their end only, and the knowledge of several robots about them.
 
 A log has one author. It consists of numbered blocks of bytes that never change, so that
-(author, run, number) names a measurement for ever, and knowledge of a log is the number of its
-first blocks. Two robots that have n and m of them together have max(n, m): nothing is counted
-twice, however often, in any order and through any robots blocks arrive.
+(author, run, number) identifies a block, and knowledge of a log is the number of its first blocks.
+Two robots that have n and m of them together have max(n, m): nothing is counted twice, however
+often, in any order and through any robots blocks arrive.
 
 The digest of the first n blocks is a chain: it contains the digest of the first n - 1 of them. Two
 logs with equal digests are equal; a block that does not follow the known digest is rejected.
@@ -90,7 +90,7 @@ class Log:
         return Block(self.name, self.run, number, self.digests[number], self.blocks[number])
 
     def knowledge(self) -> Knowledge:
-        """Return what is known."""
+        """Return the knowledge of this log."""
         return Knowledge(
             self.name, self.run, len(self.blocks), self.digests[-1], frozenset(self.ahead),
             self.is_ended)
@@ -100,7 +100,7 @@ class Log:
         return number < len(self.blocks) or number in self.ahead
 
     def is_prefix(self, known: Knowledge) -> bool:
-        """Return whether what another robot has of the run does not contradict what is known."""
+        """Return whether the blocks of this run that another robot has agree with these."""
         return known.count >= len(self.digests) or self.digests[known.count] == known.digest
 
     def missing(self, known: Knowledge | None) -> Iterator[int]:

@@ -1,7 +1,7 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Messages between robots as bytes: *hello* (what the sender has) and *block* (a part of a log).
+Messages between robots as bytes: *hello* (the blocks of the sender) and *block* (a part of a log).
 
 All are small enough for one packet of a network, as a lost packet loses the whole message. Each
 has a checksum, and a digest of the format by which messages of another version are rejected even

@@ -59,9 +59,9 @@ class TeamLogs:
     """
     The logs of a team as one robot knows them.
 
-    The first block of a log of measurements is the noise of its author, so that whoever has the
-    log can process it as its author does, and its team parameters. The log of a robot with other
-    ones is rejected. Each run of a robot has a larger number than the ones before.
+    The first block of a log of measurements has the noise of its author, so that each robot with
+    the log can process it as its author does, and the team parameters. The log of a robot with
+    other ones is rejected. Each run of a robot has a larger number than the ones before.
 
     """
 
@@ -136,7 +136,7 @@ class TeamLogs:
         return True
 
     def has_written(self, knowledge: Knowledge) -> bool:
-        """Return whether what another robot has of an own log is of this robot."""
+        """Return whether this robot has written the blocks that another one has of its log."""
         log = self.logs[LogName(self.robot)]
         if knowledge.run != log.run:
             return knowledge.run < log.run
@@ -189,7 +189,7 @@ class TeamLogs:
         if log is None:
             self._replace(Log(block.log, block.run))
             return self.logs[block.log]
-        # What is known is replaced only by a run that begins well.
+        # A known log is replaced only by a run whose first block is valid.
         if not block.log.about:
             if block.number > 0:
                 raise MessageRejectedError(MessageRejection.TOO_FAR_AHEAD)
@@ -216,7 +216,7 @@ class TeamLogs:
                 if not log.name.about:
                     self._use(log.name.author, block)
             except MessageRejectedError as rejected:
-                # What follows may not be what the author wrote either.
+                # Further blocks may not be from the author either.
                 log.ahead.clear()
                 log.is_ended = rejected.reason is not MessageRejection.CONTRADICTION
                 raise
@@ -234,7 +234,7 @@ class TeamLogs:
             self._last[author] = known[-1:]
 
     def _checked_content(self, block: Block) -> NoiseSettings | list[Measurement]:
-        """Return what is in a block of a log of measurements, or raise a MessageRejectedError."""
+        """Return the content of a block of measurements, or raise a MessageRejectedError."""
         try:
             if block.number > 0:
                 return decoded(block.content, block.log.author)
