@@ -108,16 +108,7 @@ class PeerSmoother(TeamSmoother):
             self.statistics.take_over(name, union.statistics)
         for solved in union.solution.maps:
             if own is not None and self.robot in solved.trajectories:
-                # The union has further poses, at which others have seen this robot.
-                stamps = {t: k for k, t in enumerate(union.trajectories[self.robot].stamps)}
-                known = takewhile(stamps.__contains__, own.stamps)
-                rows = np.array([stamps[t] for t in known], np.intp)
-                of_own = solved.trajectories[self.robot]
-                if len(rows):
-                    is_last = rows[-1] == len(of_own.poses) - 1
-                    own.adopt(replace(solved, trajectories={self.robot: SmoothedTrajectory(
-                        of_own.poses[rows], of_own.P[rows], self._landmarks_of(own, solved),
-                        of_own.near if is_last else NearMarginal.of_pose(of_own.P[rows[-1]]))}))
+                self._adopt_own(own, solved, union.trajectories[self.robot].stamps)
 
     def adopt_finally(self, union: TeamSmoother) -> None:
         """Adopt the smoother of everything at the end of the input."""
@@ -144,6 +135,21 @@ class PeerSmoother(TeamSmoother):
 
     def state_hash(self) -> str:
         return super().state_hash() if self._union is None else self._union.state_hash()
+
+    def _adopt_own(
+        self, own: RobotTrajectory, solved: SmoothedMap, stamps: Sequence[int]
+    ) -> None:
+        """Adopt the own trajectory in a map of the union, which has it at these stamps [ns]."""
+        # The union has further poses, at which others have observed this robot.
+        index = {stamp: k for k, stamp in enumerate(stamps)}
+        known = takewhile(index.__contains__, own.stamps)
+        rows = np.array([index[stamp] for stamp in known], np.intp)
+        if len(rows):
+            of_own = solved.trajectories[self.robot]
+            is_last = rows[-1] == len(of_own.poses) - 1
+            own.adopt(replace(solved, trajectories={self.robot: SmoothedTrajectory(
+                of_own.poses[rows], of_own.P[rows], self._landmarks_of(own, solved),
+                of_own.near if is_last else NearMarginal.of_pose(of_own.P[rows[-1]]))}))
 
     def _landmarks_of(self, own: RobotTrajectory, solved: SmoothedMap) -> Indices:
         """Return the index in a map of each own landmark, up to the first that is not in it."""
