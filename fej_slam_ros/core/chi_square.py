@@ -10,16 +10,10 @@ from fej_slam_ros.core.geometry import Array
 
 
 @cache
-def chi_square_band(dof: float, probability: float) -> tuple[float, float]:
-    """Return the central interval of this probability, with dof degrees of freedom."""
-    tail = (1.0 - probability) / 2.0
-    return float(chdtri(dof, 1.0 - tail)), float(chdtri(dof, tail))
-
-
 def band_per_dof(dof: float, probability: float = 0.95) -> tuple[float, float]:
     """Return the band of a consistent filter's mean NEES/dof or NIS/dof; dof in all."""
-    low, high = chi_square_band(dof, probability)
-    return low / dof, high / dof
+    tail = (1.0 - probability) / 2.0
+    return float(chdtri(dof, 1.0 - tail)) / dof, float(chdtri(dof, tail)) / dof
 
 
 def chi_square_quantile(dof: int, probability: float) -> float:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+Stamps = NDArray[np.int64]  #: [ns]
 
 
 def wrap(angle: float) -> float:
@@ -151,7 +152,7 @@ def transform_poses(pose: Array, poses: Array) -> Array:
         pose[0] + c * x - s * y, pose[1] + s * x + c * y, wrap_all(pose[2] + phi)])
 
 
-def poses_at(stamps: NDArray[np.int64], known: NDArray[np.int64], poses: Array) -> Array:
+def poses_at(stamps: Stamps, known: Stamps, poses: Array) -> Array:
     """Return poses (m, 3) at stamps (m,) by interpolation of poses (n, 3) at stamps `known`."""
     x, y, phi = poses.T
     return np.column_stack([

@@ -9,7 +9,7 @@ import numpy as np
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
-from fej_slam_ros.core.csam.rendezvous_alignment import rendezvous_between
+from fej_slam_ros.core.csam.rendezvous_alignment import alignment_input
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.geometry import compose, transform
@@ -111,5 +111,5 @@ def smoothed(records, settings=None, solved=True, **options):
 
 def rendezvous_of(maps, measurements):
     """Return the input of `align` for the local maps of two robots."""
-    return rendezvous_between(
+    return alignment_input(
         *map(JointMap.of, maps), measurements, JointMap.rendezvous_information)

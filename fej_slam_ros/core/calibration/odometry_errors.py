@@ -12,13 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, trajectory
 from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import Array, Flags, Indices, poses_at, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, Indices, poses_at, Stamps, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry, Scan
 
@@ -136,7 +135,7 @@ def fit_to_landmarks(
     return _significant(residuals, pairs.stamps[0], given)
 
 
-def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array) -> Array:
+def corrected_trajectory(stamps: Stamps, poses: Array, values: Array) -> Array:
     """Return the odometry poses (n, 3) at stamps (n,) [ns] without errors (3,)."""
     distance, turn, bias = values
     ahead, left, turned = models.h_pose(poses[:-1], poses[1:]).T
@@ -149,9 +148,7 @@ def corrected_trajectory(stamps: NDArray[np.int64], poses: Array, values: Array)
     return np.column_stack([x, y, wrap_all(headings)])
 
 
-def _significant(
-    residuals: Residuals, stamps: NDArray[np.int64], given: Array
-) -> OdometryErrors:
+def _significant(residuals: Residuals, stamps: Stamps, given: Array) -> OdometryErrors:
     """
     Return the errors that the data show; those not determined are as `given`, a (3,) array.
 

@@ -14,13 +14,10 @@ from itertools import count
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares, minimize_scalar
 
-from fej_slam_ros.core.geometry import Array, poses_at, rotation, wrap
+from fej_slam_ros.core.geometry import Array, poses_at, rotation, Stamps, wrap
 from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan
-
-Stamps = NDArray[np.int64]
 
 #: Time between the two observations of a pair [ns]: odometry is still exact.
 PAIR_TIME = 3 * NS // 2

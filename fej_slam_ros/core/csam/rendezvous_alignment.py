@@ -21,7 +21,7 @@ from fej_slam_ros.core.smoothing.marginals import Information
 #: Returns the information of a map about some of its poses (k,).
 InformationOf = Callable[[JointMap, Indices], RendezvousInformation]
 #: Input of Algorithm 1: the information of two maps, and the observations between them.
-RendezvousEnds = tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]
+AlignmentInput = tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]
 #: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
 ALIGNMENT_WINDOW = 50
 
@@ -31,9 +31,9 @@ def alignment_window(measurements: Measurements) -> Measurements:
     return measurements[central(len(measurements), ALIGNMENT_WINDOW)]
 
 
-def rendezvous_between(
+def alignment_input(
     p: JointMap, q: JointMap, measurements: Measurements, information: InformationOf
-) -> RendezvousEnds:
+) -> AlignmentInput:
     """Return the input of Algorithm 1 for two maps, with the information of each about poses."""
     ends = [((m.observer, m.pose), (m.observed, m.observed_pose)) for m in measurements]
     (poses_p, rows_p), (poses_q, rows_q) = (
@@ -49,7 +49,8 @@ def rendezvous_between(
 
 
 def aligned_but_for_outliers(
-    measurements: Measurements, ends_of: Callable[[Measurements], RendezvousEnds], rules: JoinRules
+    measurements: Measurements, input_of: Callable[[Measurements], AlignmentInput],
+    rules: JoinRules,
 ) -> tuple[Alignment, Measurements] | JoinFailure:
     """
     Return the alignment of two maps by observations that fit, and all of them but a few outliers.
@@ -57,12 +58,12 @@ def aligned_but_for_outliers(
     Parameters
     ----------
     measurements : the observations, in the order of time
-    ends_of : returns the input of Algorithm 1 for some of them
+    input_of : returns the input of Algorithm 1 for some of them
     rules : conditions for joining
 
     """
     kept = measurements
-    while isinstance(found := _aligned(alignment_window(kept), ends_of, rules), JoinFailure):
+    while isinstance(found := _aligned(alignment_window(kept), input_of, rules), JoinFailure):
         kept = [m for m in kept if m.key != found.outlier]
         if found.outlier is None or (
                 len(measurements) - len(kept) > len(measurements) // MIN_PER_OUTLIER):
@@ -89,7 +90,7 @@ class RendezvousAligner:
     ) -> tuple[BaseNode, Measurements] | JoinFailure:
         """Return the base node of q in p, and the observations but for a few outliers."""
         found = aligned_but_for_outliers(
-            measurements, lambda window: rendezvous_between(p, q, window, self._information_of),
+            measurements, lambda window: alignment_input(p, q, window, self._information_of),
             self._rules)
         return found if isinstance(found, JoinFailure) else (found[0].base_node, found[1])
 
@@ -127,17 +128,17 @@ class RendezvousAligner:
 
 
 def _aligned(
-    window: Measurements, ends_of: Callable[[Measurements], RendezvousEnds], rules: JoinRules
+    window: Measurements, input_of: Callable[[Measurements], AlignmentInput], rules: JoinRules
 ) -> Alignment | JoinFailure:
     """Return the result of Algorithm 1, if the observations fit the maps."""
     try:
-        ends = ends_of(window)
+        given = input_of(window)
     except SingularError as error:
         return JoinFailure(f'cannot align: {error}')
     try:
-        aligned = align(*ends)
+        aligned = align(*given)
     except ConvergenceError as error:
-        row, d2 = farthest(*ends)
+        row, d2 = farthest(*given)
         return JoinFailure(f'cannot align: {error}', outlier=window[row].key, d2=d2)
     if isinstance(aligned, JoinFailure):
         return aligned

@@ -12,12 +12,10 @@ mix, or return to a time far before all others.
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fej_slam_ros.core.geometry import Indices
+from fej_slam_ros.core.geometry import Indices, Stamps
 from fej_slam_ros.core.records import NS
 
-Stamps = NDArray[np.int64]
 #: Steps back up to this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
 #: Number of rows in a span of stamps, relative to a regular log: with fewer than MIN_DENSITY the

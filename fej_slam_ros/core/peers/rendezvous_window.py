@@ -21,8 +21,8 @@ from fej_slam_ros.core.csam.base_node import (
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import (
-    MAX_RENDEZVOUS_PAUSE, Measurements, RendezvousMeasurement)
-from fej_slam_ros.core.csam.rendezvous_alignment import aligned_but_for_outliers, RendezvousEnds
+    MAX_RENDEZVOUS_PAUSE, RendezvousMeasurement)
+from fej_slam_ros.core.csam.rendezvous_alignment import aligned_but_for_outliers, AlignmentInput
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -96,8 +96,9 @@ def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
         theirs = read(task.received, task.peer, robot.name)
     except BadBlockError:
         theirs = None
-    observed_at = {scan.stamp for scan in own} | {
-        scan.stamp for scan in (() if theirs is None else theirs.scans)}
+    observed_at = {scan.stamp for scan in own}
+    if theirs is not None:
+        observed_at |= {scan.stamp for scan in theirs.scans}
     if not observed_at:
         return None
     try:
@@ -214,12 +215,12 @@ def _aligned(
     if not measurements:
         return JoinFailure('neither robot has a pose at an observation of the other')
 
-    def ends_of(window: Measurements) -> RendezvousEnds:
+    def input_of(window: Sequence[RendezvousMeasurement]) -> AlignmentInput:
         return own.information, theirs.information, RendezvousObservations(
             np.array([row[m.stamp] for m in window], np.intp),
             np.array([their_row[m.stamp] for m in window], np.intp),
             np.array([m.observer == robot for m in window], np.bool_),
             np.array([m.z for m in window]), np.array([m.R for m in window]))
 
-    found = aligned_but_for_outliers(measurements, ends_of, DEFAULT_RULES)
+    found = aligned_but_for_outliers(measurements, input_of, DEFAULT_RULES)
     return found if isinstance(found, JoinFailure) else found[0]

@@ -12,7 +12,7 @@ from scipy.stats import multivariate_normal
 
 from fej_slam_ros.core.calibration.from_innovations import (
     counts, most_likely_scales, run, with_scales)
-from fej_slam_ros.core.chi_square import chi_square_band
+from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.estimator import BrokenEstimateError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from helpers.calibration import error, received, simulated
@@ -47,9 +47,9 @@ def test_a_filter_with_the_factors_is_consistent(seed):
     estimator, _ = run(with_scales(team(), scales), records)
 
     for nis in estimator.innovations.nis.values():
-        low, high = chi_square_band(nis.dof, 0.9999)
+        low, high = band_per_dof(nis.dof, 0.9999)
         # The standard errors of the factors are 3 % of NIS.
-        assert 0.95 * low < nis.total < 1.05 * high
+        assert 0.95 * low < nis.total / nis.dof < 1.05 * high
 
 
 def _with_last_moved(record):
