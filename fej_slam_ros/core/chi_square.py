@@ -11,7 +11,7 @@ from fej_slam_ros.core.geometry import Array
 
 @cache
 def band_per_dof(dof: float, probability: float = 0.95) -> tuple[float, float]:
-    """Return the band of a consistent filter's mean NEES/dof or NIS/dof; dof in all."""
+    """Return the central interval of a consistent filter's NEES/dof or NIS/dof; dof in all."""
     tail = (1.0 - probability) / 2.0
     return float(chdtri(dof, 1.0 - tail)) / dof, float(chdtri(dof, tail)) / dof
 

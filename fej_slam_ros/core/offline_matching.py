@@ -35,12 +35,8 @@ def match(
     """
     Return the landmarks of the observations without ID in some records.
 
-    Parameters
-    ----------
-    settings : of the estimator
-    records : a robot has at most one scan with observations without ID at a stamp
-    prior : map known before the run
-    on_step : called after each step of the estimator
+    A robot has at most one scan with such observations at a stamp. `on_step` is called after each
+    step of the estimator.
 
     """
     estimator = Estimator(settings, prior)

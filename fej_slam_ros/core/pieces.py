@@ -34,12 +34,9 @@ def between_pieces(
     serve: Callable[[], object], must_end: Callable[[], bool] = lambda: False
 ) -> Iterator[None]:
     """
-    Call functions between the pieces of all computations of the context.
+    Call `serve` between the pieces of all computations of the context.
 
-    Parameters
-    ----------
-    serve : called between two pieces
-    must_end : whether computations that can end early are to do so, because the process ends
+    `must_end` returns whether those that can end early are to do so, because the process ends.
 
     """
     _contexts.append((serve, must_end))

@@ -139,13 +139,8 @@ def scales_over_windows(
     """
     Return the noise scale factors of observations by which their sums over windows are right.
 
-    Parameters
-    ----------
-    settings : of the estimator but for its filter; noise scales of other kinds are not changed
-    records : observations must have IDs
-    start : first guesses of the factors by kind, `landmark` and `robot`
-    prior : map known before the run
-    on_run : called after each run of an estimator
+    `start` has first guesses of the factors by kind, `landmark` and `robot`; the other parameters
+    are those of `most_likely_scales`.
 
     """
     kinds = [*start]

@@ -47,13 +47,10 @@ def join_maps(
     maps: Sequence[JointMap], measurements: Measurements, rules: JoinRules = DEFAULT_RULES
 ) -> JoinedMaps:
     """
-    Return the maps after joining.
+    Return the maps after joining, given each robot's own map at its minimum.
 
-    Parameters
-    ----------
-    maps : minimum of each robot's own map; a joint map has the frame of its first one
-    measurements : robot-to-robot observations in the order of time
-    rules : conditions for joining
+    The robot-to-robot observations are in the order of time. A joint map has the frame of its
+    first one.
 
     """
     merger = _MapMerger(maps, measurements, rules)

@@ -83,11 +83,8 @@ def without_landmarks(
     """
     Return the minimum without some landmarks, and their observations as outliers of each robot.
 
-    Parameters
-    ----------
-    joint : map
-    d2 : squared Mahalanobis distance by which each landmark contradicts others, by a key
-    limit : limit that these distances exceed
+    `d2` has the squared Mahalanobis distance by which each of the landmarks contradicts others,
+    by one of its keys; it is above the limit.
 
     """
     factors, index = joint.problem.landmarks, joint.landmark_index()

@@ -55,11 +55,8 @@ def aligned_but_for_outliers(
     """
     Return the alignment of two maps by observations that fit, and all of them but a few outliers.
 
-    Parameters
-    ----------
-    measurements : the observations, in the order of time
-    input_of : returns the input of Algorithm 1 for some of them
-    rules : conditions for joining
+    The observations are in the order of time; `input_of` returns the input of Algorithm 1 for some
+    of them.
 
     """
     kept = measurements

@@ -27,15 +27,8 @@ def merge_duplicates(
     """
     Merge each candidate with its nearest neighbour where both are one landmark.
 
-    Parameters
-    ----------
-    filter_ : filter of the landmarks; its state has a robot
-    candidates : landmarks to be checked
-    observed_together : landmarks of one scan, which are therefore all distinct
-
-    Returns
-    -------
-    The ID of the landmark into which each other one was merged, by the other's ID.
+    The landmarks `observed_together` are those of one scan, and therefore all distinct. The state
+    has a robot. Returns the ID of the landmark into which each other one was merged, by its ID.
 
     """
     merged: dict[int, int] = {}
