@@ -28,7 +28,7 @@ def merge_duplicates(
     Merge each candidate with its nearest neighbour where both are one landmark.
 
     The landmarks `observed_together` are those of one scan, and therefore all distinct. The state
-    has a robot. Returns the ID of the landmark into which each other one was merged, by its ID.
+    has a robot. Returns the ID of the remaining landmark by that of each merged one.
 
     """
     merged: dict[int, int] = {}

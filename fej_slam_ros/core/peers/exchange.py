@@ -18,8 +18,8 @@ from dataclasses import dataclass, field, replace
 
 from fej_slam_ros.core.peers.logs import BlockKey, is_of_team, Knowledge, LogName
 from fej_slam_ros.core.peers.messages import (
-    BlockMessage, echo_key, ECHO_MODULUS, Hello, hellos, MessageRejectedError, MessageRejection,
-    read, write)
+    BlockMessage, echo_key, ECHO_MODULUS, Hello, hellos, Message, MessageRejectedError,
+    MessageRejection, read, write)
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import NS
 
@@ -126,7 +126,7 @@ class PeerExchange:
         #: bytes_sent, messages_sent: by kind, hello or block
         self.bytes_sent: Counter[str] = Counter()
         self.messages_sent: Counter[str] = Counter()
-        #: messages that could not be read, by reason
+        #: rejected messages that belong to no peer, by reason
         self.rejected_unread: Counter[MessageRejection] = Counter()
         #: blocks that are not sent yet, set by the caller
         self.held_back: Collection[BlockKey] = frozenset()
@@ -144,32 +144,16 @@ class PeerExchange:
 
     def receive(self, data: bytes, now: int) -> MessageRejection | None:
         """Use a message; return the reason if it is rejected."""
+        rejections = self.rejected_unread
         try:
             message = read(data)
+            peer = self._sender(message)
+            if peer is not None:
+                rejections = peer.rejected
+                peer.bytes_received += len(data)
+                self._receive(peer, message, now)
         except MessageRejectedError as rejected:
-            self.rejected_unread[rejected.reason] += 1
-            return rejected.reason
-        if message.sender == self.logs.robot:
-            is_echo = isinstance(message, Hello) and message.run == self.logs.run
-            if is_echo or isinstance(message, BlockMessage):
-                return None
-            self.rejected_unread[MessageRejection.SAME_NAME] += 1
-            return MessageRejection.SAME_NAME
-        peer = self.peers.get(message.sender)
-        if peer is None:
-            self.rejected_unread[MessageRejection.UNKNOWN_ROBOT] += 1
-            return MessageRejection.UNKNOWN_ROBOT
-        peer.bytes_received += len(data)
-        if not self._is_in_reach(peer, now):
-            peer.in_reach_since, peer.hello = now, None
-        peer.last_message = now
-        try:
-            if isinstance(message, Hello):
-                self._receive_hello(peer, message, now)
-            else:
-                self._receive_block(message, now)
-        except MessageRejectedError as rejected:
-            peer.rejected[rejected.reason] += 1
+            rejections[rejected.reason] += 1
             return rejected.reason
         return None
 
@@ -212,6 +196,25 @@ class PeerExchange:
     def _is_in_reach(self, peer: PeerState, now: int) -> bool:
         limit = REACH_PERIODS * self.settings.period
         return peer.last_message is not None and now - peer.last_message <= limit
+
+    def _sender(self, message: Message) -> PeerState | None:
+        """Return the robot that has sent a message, None if it is an own one that comes back."""
+        if message.sender == self.logs.robot:
+            if isinstance(message, Hello) and message.run != self.logs.run:
+                raise MessageRejectedError(MessageRejection.SAME_NAME)
+            return None
+        if message.sender not in self.peers:
+            raise MessageRejectedError(MessageRejection.UNKNOWN_ROBOT)
+        return self.peers[message.sender]
+
+    def _receive(self, peer: PeerState, message: Message, now: int) -> None:
+        if not self._is_in_reach(peer, now):
+            peer.in_reach_since, peer.hello = now, None
+        peer.last_message = now
+        if isinstance(message, Hello):
+            self._receive_hello(peer, message, now)
+        else:
+            self._receive_block(message, now)
 
     def _receive_hello(self, peer: PeerState, hello: Hello, now: int) -> None:
         if peer.run is not None and hello.run < peer.run:
