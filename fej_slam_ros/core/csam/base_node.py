@@ -310,7 +310,7 @@ def _connector(
     H_p = np.where(by_p[:, None], H[:, :, :3], H[:, :, 3:])
     H_q = np.where(by_p[:, None], H[:, :, 3:], H[:, :, :3])
     # Derivatives of the poses of q in the frame of p by themselves and by the base node.
-    by_q, by_b = pose_rotation(b[2]), np.array([models.Phi(y[:2] - b[:2]) for y in x_j])
+    by_q, by_b = pose_rotation(b[2]), models.Phi_all(x_j[:, :2] - b[:2])
     C = np.zeros((len(H), 2, 3 * (len(x_p) + len(x_q)) + 3))
     C[:, :, -3:] = H_q @ by_b
     for m, (i, j) in enumerate(zip(rows_p, rows_q)):

@@ -16,33 +16,17 @@ from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
 
 class TeamInput:
-    """
-    Base of the estimator and of the smoother: it takes records of all kinds, in any order.
-
-    Parameters
-    ----------
-    settings : the team, and the limits of delays
-
-    Attributes
-    ----------
-    settings : parameters at present
-    robots : settings of each robot by name, in the order of processing
-    statistics : counts of used and rejected input
-    truth : ground truth in the input
-    sequencer : the waiting measurements
-    steps : number of steps of each robot
-
-    """
+    """Base of the estimator and of the smoother: it takes records of all kinds, in any order."""
 
     needs_ids = True  #: whether observations without IDs are rejected
 
     def __init__(self, settings: CommonSettings) -> None:
         self.settings = settings
-        self.robots = {robot.name: robot for robot in settings.robots}
+        self.robots = {robot.name: robot for robot in settings.robots}  #: in processing order
         self.statistics = InputStatistics()
         self.truth = RecordedTruth()
-        self.sequencer = Sequencer(settings, self.statistics)
-        self.steps: Counter[str] = Counter()
+        self.sequencer = Sequencer(settings, self.statistics)  #: the waiting measurements
+        self.steps: Counter[str] = Counter()  #: number of steps of each robot
         self._pose_priors = PosePriors(self.statistics)
 
     def change_team(self, robots: Sequence[RobotSettings]) -> None:
