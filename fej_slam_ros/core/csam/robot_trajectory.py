@@ -18,7 +18,7 @@ from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.factors import Values
 
 #: Number of landmarks that a lost robot must observe again to be found, and the largest ratio of
-#: the distances at which they are then from where they were to their extent.
+#: their residuals after a rigid fit to their extent.
 MIN_FOUND, MAX_MISFIT = 3, 0.2
 
 

@@ -31,8 +31,9 @@ from fej_slam_ros.core.records import LandmarkKey, NO_ID, Observation, Scan
 CONFIRMATION_SCORE = 3
 MAX_UNOBSERVED = 20
 
-#: Number of observations from which on one is outside of a robot's field of view, which a single
-#: wrong range must not extend; number of which one more is; maximum number of those outside.
+#: The largest ranges and bearings are outside of a robot's field of view, so that a single wrong
+#: one does not extend it: one from MIN_VIEW_OBSERVATIONS observations on, one more for each
+#: OUTSIDE_ONE_IN of them, and at most MAX_OUTSIDE.
 MIN_VIEW_OBSERVATIONS, OUTSIDE_ONE_IN, MAX_OUTSIDE = 20, 1000, 100
 #: Smallest field of view [m, rad].
 MIN_VIEW_RANGE, MIN_VIEW_BEARING = 1.0, 0.5

@@ -59,12 +59,11 @@ class Sequencer:
         self._max_delay = self._stale_after = self._longest_lead = 0
         self.change_limits(settings)
         self._begun = False
-        # Oldest and newest odometry of the team; its newest at the latest message of each robot
-        # that was not live; newest stamp of a step.
-        self._oldest: int | None = None
-        self._newest = -sys.maxsize
+        self._oldest: int | None = None  # stamp of the oldest odometry of the team [ns]
+        self._newest = -sys.maxsize  # that of the newest
+        # That of the newest, at the latest message of each robot that was not live.
         self._heard: dict[str, int] = {}
-        self._released: int | None = None
+        self._released: int | None = None  # newest stamp of a step [ns]
         self.change_team(settings.robots)
 
     def change_limits(self, settings: CommonSettings) -> None:
