@@ -8,7 +8,7 @@ information suffice. These are smallest for a short rendezvous; the information 
 for a long one the log of all measurements is smaller. All forms lead to the same base node.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from itertools import permutations
 from typing import Any
 
@@ -22,13 +22,6 @@ from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.smoothing.factors import concatenated
 from fej_slam_ros.core.smoothing.marginals import Information
-
-Arrays = list[NDArray[Any]]
-
-
-def message(form: str, local: JointMap, poses: Indices) -> bytes:
-    """Return the message of a robot with rendezvous poses (k,), in one of `MESSAGE_FORMS`."""
-    return _packed(MESSAGE_FORMS[form](local, poses))
 
 
 def sizes(
@@ -62,13 +55,13 @@ def _sizes_of_sender(
     if not poses:
         return {}
     sent = np.unique(np.concatenate([*poses.values()]))
-    size_of_map = len(message('map', local, sent))
+    size_of_map = len(map_message(local, sent))
     # Factored once for all receivers.
     information = local.information([*local.problem.fixed_poses, *sent])
     return {
         pair: {
-            'subset': len(_packed(_subset(local, of_pair, information))),
-            'log': len(message('log', local, of_pair)), 'map': size_of_map}
+            'subset': len(subset_message(local, of_pair, information)),
+            'log': len(log_message(local, of_pair)), 'map': size_of_map}
         for pair, of_pair in poses.items()}
 
 
@@ -89,41 +82,39 @@ def smallest(by_form: Mapping[str, float]) -> str:
     return min(by_form, key=by_form.__getitem__)
 
 
-def _subset(
+def subset_message(
     local: JointMap, poses: Indices, information: Information | None = None
-) -> Arrays:
+) -> bytes:
+    """Return rendezvous poses (k,) and their square-root information."""
     sent = local.rendezvous_information(poses, information)
     rows = np.array([sent.middle, sent.start], np.int32)
-    return [rows, sent.origin, sent.poses, sent.R_sqrt[np.triu_indices(len(sent.R_sqrt))]]
+    return _packed([
+        rows, sent.origin, sent.poses, sent.R_sqrt[np.triu_indices(len(sent.R_sqrt))]])
 
 
-def _log(local: JointMap, poses: Indices) -> Arrays:
+def log_message(local: JointMap, poses: Indices) -> bytes:
+    """Return all measurements of a robot, and which of its poses (k,) are rendezvous poses."""
     odometry = concatenated(local.problem.odometry)
     landmarks = concatenated(local.problem.landmarks)
     in_Q, in_R = np.triu_indices(3), np.triu_indices(2)
-    return [
+    return _packed([
         poses.astype(np.int32), local.values.poses[0],
         odometry.z, odometry.R[:, in_Q[0], in_Q[1]],
         landmarks.pose.astype(np.int32), landmarks.target.astype(np.int32), landmarks.z,
-        landmarks.R[:, in_R[0], in_R[1]]]
+        landmarks.R[:, in_R[0], in_R[1]]])
 
 
-def _map(local: JointMap, poses: Indices) -> Arrays:
+def map_message(local: JointMap, poses: Indices) -> bytes:
+    """Return the square-root information of the whole map, with rendezvous poses (k,)."""
     centred = local.in_frame_of(int(poses[len(poses) // 2]))
     R_sqrt, coordinates = centred.information(range(len(centred.values.poses))).square_root()
-    return [
+    return _packed([
         poses.astype(np.int32), local.values.poses[0], centred.values.poses,
         np.array(len(centred.values.points)), coordinates.astype(np.int32), R_sqrt.data,
-        R_sqrt.indices, R_sqrt.indptr]
+        R_sqrt.indices, R_sqrt.indptr])
 
 
-#: Content of a message by the name of its form. ``subset``: rendezvous poses and their square-root
-#: information; ``log``: all measurements; ``map``: square-root information of the whole map.
-MESSAGE_FORMS: dict[str, Callable[[JointMap, Indices], Arrays]] = {
-    'subset': _subset, 'log': _log, 'map': _map}
-
-
-def _packed(arrays: Arrays) -> bytes:
+def _packed(arrays: Sequence[NDArray[Any]]) -> bytes:
     """Return arrays as bytes, each after a line of text with its type and shape."""
     return b''.join(
         ','.join([array.dtype.str, *map(str, array.shape)]).encode() + b'\n' + array.tobytes()
