@@ -47,7 +47,7 @@ def start_landmarks(
 
 def _unknown_observations(filter_: Filter, scan: Scan) -> list[Observation]:
     """Return the observations of landmarks that are not in the state."""
-    keys = filter_.landmark_keys(scan.robot, [s.id for s in scan.observations])
+    keys = filter_.keys_of(scan)
     return [
         s for s, key in zip(scan.observations, keys) if key not in filter_.state.landmarks]
 

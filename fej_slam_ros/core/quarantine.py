@@ -19,7 +19,7 @@ from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import LandmarkKey, Motion, Scan, Step
+from fej_slam_ros.core.records import Motion, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 
@@ -60,7 +60,7 @@ class Quarantine:
             group = self._groups.of(scan.robot)
             reason = _why_turned(group, scan.robot, min_landmarks)
             if reason and any(
-                    key in group.state.landmarks for key in _landmark_keys(group, scan)):
+                    key in group.state.landmarks for key in group.filter.keys_of(scan)):
                 self._restart(scan.robot, step.stamp, reason)
         for robot_scan in step.robot_scans:
             for observation in robot_scan.observations:
@@ -106,7 +106,7 @@ class Quarantine:
         robot, parts = scan.with_ids.robot, (scan.with_ids, scan.associated)
         if not self._lost_robots.is_suspected(robot):
             return scan
-        keys = [key for part in parts for key in _landmark_keys(group, part)]
+        keys = [key for part in parts for key in group.filter.keys_of(part)]
         if not keys:
             return scan
         landmarks = group.state.landmarks
@@ -122,7 +122,7 @@ class Quarantine:
                 self._reject(robot, scan.with_ids.stamp, key[1])
         with_ids, associated = (
             replace(part, observations=tuple(
-                s for s, key in zip(part.observations, _landmark_keys(group, part))
+                s for s, key in zip(part.observations, group.filter.keys_of(part))
                 if key in known)) for part in parts)
         return replace(scan, with_ids=with_ids, associated=associated)
 
@@ -143,11 +143,6 @@ class Quarantine:
     def _reject(self, robot: str, stamp: int, id_: int, observed: str | None = None) -> None:
         self._statistics.reject_observation(
             Rejection(robot, stamp, RejectionReason.LOST_ROBOT, id=id_, observed=observed))
-
-
-def _landmark_keys(group: FrameGroup, scan: Scan) -> list[LandmarkKey]:
-    """Return the identities of the landmarks that a scan observes."""
-    return group.filter.landmark_keys(scan.robot, [s.id for s in scan.observations])
 
 
 def _why_turned(group: FrameGroup, robot: str, min_landmarks: int) -> str:

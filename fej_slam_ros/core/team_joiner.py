@@ -82,7 +82,7 @@ class TeamJoiner:
         scans: InitialScans = {
             scan.robot: [
                 (key, s) for key, s in zip(
-                    team.filter.landmark_keys(scan.robot, [s.id for s in scan.observations]),
+                    team.filter.keys_of(scan),
                     scan.observations)
                 if s.id != NO_ID]
             for scan in step.scans}

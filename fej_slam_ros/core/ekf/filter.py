@@ -246,7 +246,7 @@ class Filter:
         is_ended = False
         for scan in scans:
             robot, landmarks = self.state.robots[scan.robot], self.state.landmarks
-            keys = self.landmark_keys(scan.robot, [s.id for s in scan.observations])
+            keys = self.keys_of(scan)
             new = {*keys}.difference(landmarks)
             if not new:
                 associations += map(
@@ -303,6 +303,10 @@ class Filter:
         update = joint_update(state.covariance, H, MERGE_VARIANCE * np.eye(2)[None])
         self._correct(state.x_hat, update.apply(-difference).dx)
         state.remove(other)
+
+    def keys_of(self, scan: Scan) -> list[LandmarkKey]:
+        """Return the identities of the landmarks in a scan, one for each observation."""
+        return self.landmark_keys(scan.robot, [s.id for s in scan.observations])
 
     def landmark_keys(self, robot: str, ids: Iterable[int]) -> list[LandmarkKey]:
         """Return the identities of the landmarks that a robot observes under some IDs."""
