@@ -8,19 +8,19 @@ import struct
 import numpy as np
 import pytest
 
-from helpers.optional import optional
-
-scene = optional('fej_slam_ros.experiments.common.scene')
+from fej_slam_ros.cli.run_picture import draw_run
+from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, LandmarkMap, RunResult
 
 
 def size(width, height):
     """Return the size [pixels] of the picture of a robot that crosses an area [m]."""
     file = BytesIO()
     poses = np.linspace([0.0, 0.0, 0.0], [width, height, 0.0], 9)
-    scene.draw_scene(
-        file, 'scene', {'r1': poses}, {'r1': np.tile(1e-4 * np.eye(3), (9, 1, 1))},
-        np.array([[0.5 * width, 0.1 * height]]), 1e-4 * np.eye(2)[None], {}, np.empty((0, 2)),
-        lambda axes: None)
+    trajectory = EstimatedTrajectory(
+        np.arange(9), poses, np.tile(1e-4 * np.eye(3), (9, 1, 1)), 'map', 9)
+    landmarks = LandmarkMap(
+        np.array([1]), np.array([[0.5 * width, 0.1 * height]]), 1e-4 * np.eye(2)[None])
+    draw_run(file, 'scene', RunResult({'r1': trajectory}, landmarks, {}), ['r1'], {}, [])
     # Width and height follow the signature and the first chunk's name.
     return struct.unpack('>2I', file.getvalue()[16:24])
 
