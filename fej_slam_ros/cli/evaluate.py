@@ -19,7 +19,7 @@ Output: evaluation.json; for evo <robot>.tum and <robot>_truth.tum, the compared
 """
 
 import argparse
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -113,10 +113,12 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
         if count:
             report[name] = count
             print(f'{count} invalid {what} in {source} are left out')
-    refuse_existing(_files(output, evaluation.matched, arguments.plots), arguments.force)
-    contents = _pictures(output, evaluation) if arguments.plots else {}
+    contents: dict[Path, bytes] = {}
     for name, matched in evaluation.matched.items():
         contents |= _robot_contents(output, name, matched, evaluation.nees.get(name))
+    if arguments.plots:
+        contents |= _pictures(output, evaluation)
+    refuse_existing(contents, arguments.force)
     with postponed():
         write_all(contents | {output / 'evaluation.json': json_bytes(report)})
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
@@ -129,20 +131,6 @@ def _pictures(output: Path, evaluation: RunEvaluation) -> dict[Path, bytes]:
 
     draw_all = figures.draw_trajectories, figures.draw_errors, figures.draw_nees
     return {output / name: figure(draw, evaluation) for name, draw in zip(FIGURES, draw_all)}
-
-
-def _files(output: Path, robots: Iterable[str], plots: bool) -> Iterator[Path]:
-    """Yield the files of robots, and figures if there are any."""
-    for name in robots:
-        yield from _robot_files(output, name)
-    if plots:
-        yield from (output / name for name in FIGURES)
-
-
-def _robot_files(output: Path, name: str) -> tuple[Path, Path, Path]:
-    """Return the files of poses, true poses and covariances."""
-    return (
-        output / f'{name}.tum', output / f'{name}_truth.tum', output / f'{name}_covariance.csv')
 
 
 def _sources(arguments: argparse.Namespace) -> Sources:
@@ -180,14 +168,15 @@ def _robot_contents(
 ) -> dict[Path, bytes]:
     """Return the contents of the files of a robot."""
     stamps = matched.stamps.tolist()
-    estimated, true, covariances = _robot_files(output, name)
     contents = {
-        file: ''.join(f'{tum_line(stamp, pose)}\n' for stamp, pose in zip(stamps, poses)).encode()
-        for file, poses in ((estimated, matched.poses), (true, matched.true))}
+        output / file: ''.join(
+            f'{tum_line(stamp, pose)}\n' for stamp, pose in zip(stamps, poses)).encode()
+        for file, poses in ((f'{name}.tum', matched.poses), (f'{name}_truth.tum', matched.true))}
     values = [np.nan] * len(stamps) if nees is None else nees.tolist()
-    return contents | {covariances: csv_bytes([COVARIANCE_HEADER, *(
+    contents[output / f'{name}_covariance.csv'] = csv_bytes([COVARIANCE_HEADER, *(
         (stamp, *P[np.triu_indices(3)].tolist(), value if np.isfinite(value) else '')
-        for stamp, P, value in zip(stamps, matched.P, values))])}
+        for stamp, P, value in zip(stamps, matched.P, values))])
+    return contents
 
 
 def _tables(report: Mapping[str, Any], shared_ids: bool) -> Iterator[str]:
