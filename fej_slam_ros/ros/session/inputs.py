@@ -98,7 +98,8 @@ class Inputs:
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
         elif kind == STATIC_TF and self._uses_static(arrived.topic):
-            self._receive_mounts(arrived)
+            for reason in self._mounts.receive(arrived):
+                self._reject('', arrived.received or 0, reason)
         elif kind not in self.robot_topics or '/' in name:
             self.unused[arrived.topic] += 1
         elif name not in self._consumer.robots:
@@ -298,15 +299,6 @@ class Inputs:
 
     def _uses_static(self, topic: str) -> bool:
         return topic.lstrip('/') in {name.lstrip('/') for name in self.static_topics}
-
-    def _receive_mounts(self, arrived: RawMessage) -> None:
-        message = self._decoded('', arrived, TF_TYPE)
-        if message is None:
-            return
-        transforms, rejected = incoming.static_transforms(message)
-        self._mounts.add(arrived.topic, transforms)
-        for reason in rejected:
-            self._reject('', arrived.received or 0, reason)
 
     def _reject_waiting_scans(self, robot: str, reason: RejectionReason) -> None:
         for _, cloud, _ in self._waiting_scans.pop(robot, []):

@@ -10,7 +10,7 @@ import numpy as np
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.settings import RobotSettings
-from fej_slam_ros.ros.messages import decoded_as, incoming, RawMessage
+from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.sensor_mounts import SensorMounts
@@ -47,13 +47,7 @@ class SensorFrames:
         """Add the static transforms of a message; return whether it is one of them."""
         if arrived.topic.rpartition('/')[2] != STATIC_TF:
             return False
-        message = decoded_as(arrived, TF_TYPE)
-        if message is None:
-            self.rejected['bad_message'] += 1
-            return True
-        transforms, rejected = incoming.static_transforms(message)
-        self._mounts.add(arrived.topic, transforms)
-        self.rejected.update(reason.value for reason in rejected)
+        self.rejected.update(reason.value for reason in self._mounts.receive(arrived))
         return True
 
     def knows_base(self, robot: str) -> bool:

@@ -2,15 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Static transforms of robots, composed to the poses of their sensors in the base frames."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.ros.messages.incoming import StaticTransform
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.messages import decoded_as, incoming, RawMessage
 from fej_slam_ros.ros.session.frames import FrameNames
+from fej_slam_ros.ros.topic_types import TF_TYPE
 
 #: Maximum number of frames stored per topic; the description of a robot has fewer than 200 links.
 MAX_STATIC_FRAMES = 10_000
@@ -33,12 +35,22 @@ class SensorMounts:
         # Static transforms of each topic, as parent and pose (4, 4) by child frame.
         self._links: dict[str, dict[str, tuple[str, Array]]] = {}
 
-    def add(self, topic: str, transforms: Iterable[StaticTransform]) -> None:
-        """Store transforms; a newer one of the same child frame replaces the older."""
-        links = self._links.setdefault(topic.lstrip('/'), {})
+    def receive(self, arrived: RawMessage) -> list[RejectionReason]:
+        """
+        Store the static transforms in a message; return the reasons why others are rejected.
+
+        A newer one of the same child frame replaces the older.
+
+        """
+        message = decoded_as(arrived, TF_TYPE)
+        if message is None:
+            return [RejectionReason.BAD_MESSAGE]
+        transforms, rejected = incoming.static_transforms(message)
+        links = self._links.setdefault(arrived.topic.lstrip('/'), {})
         for transform in transforms:
             if transform.child in links or len(links) < MAX_STATIC_FRAMES:
                 links[transform.child] = transform.parent, transform.pose
+        return rejected
 
     def pose(self, robot: str, frame: str) -> Array | None:
         """Return the transform (4, 4) of a frame to the base frame of a robot, None if unknown."""
