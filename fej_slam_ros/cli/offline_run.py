@@ -113,7 +113,6 @@ class BagRuns(Generic[SessionT]):
 
     Parameters
     ----------
-    arguments : of the command
     node : name of the node that does the same live
     names : under which the bag is read
     begin : creates a session from its settings, its folder, and whether files may be replaced

@@ -80,7 +80,6 @@ def transform_topics(tf_topics: str, robot: str, kind: str) -> list[str]:
     Parameters
     ----------
     tf_topics : value of the parameter of this name
-    robot : its name
     kind : last part of the names, `TF` or `STATIC_TF`
 
     """

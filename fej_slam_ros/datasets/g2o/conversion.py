@@ -46,7 +46,6 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
 
     Parameters
     ----------
-    graph : the graph
     period : time between two poses of a robot [ns], where the graph has no stamps
 
     Raises

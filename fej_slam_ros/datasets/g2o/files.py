@@ -41,7 +41,6 @@ def read(path: Path, noise: str) -> tuple[Graph, Counter[str]]:
 
     Parameters
     ----------
-    path : the file
     noise : one of `NOISES`, for the lines of iSAM
 
     Raises

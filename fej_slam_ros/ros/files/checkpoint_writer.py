@@ -13,14 +13,7 @@ from fej_slam_ros.ros.files.live_files import SLOW_AFTER
 
 
 class CheckpointWriter:
-    """
-    The only writer of a checkpoint file; raises UserError if another process writes it.
-
-    Attributes
-    ----------
-    path : the file
-
-    """
+    """The only writer of a checkpoint file; raises UserError if another process writes it."""
 
     def __init__(self, path: Path) -> None:
         self.path = path

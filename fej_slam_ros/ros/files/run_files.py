@@ -188,14 +188,7 @@ class RunFiles:
 
 
 class IncompleteError(UserError):
-    """
-    Files of a run that could not be completed, given with their errors in order of time.
-
-    Attributes
-    ----------
-    consequence : the names of the files
-
-    """
+    """Files of a run that could not be completed, given with their errors in order of time."""
 
     def __init__(self, errors: Mapping[str, UserError]) -> None:
         self.consequence = f'not complete: {", ".join(errors)}'

@@ -19,10 +19,6 @@ class FirstMessages:
     a second subscription, of a hidden node that no executor spins, is polled until it has a
     message that the first subscription received, too.
 
-    Parameters
-    ----------
-    node : whose subscriptions are watched
-
     """
 
     def __init__(self, node: Node) -> None:

@@ -24,7 +24,6 @@ class LiveParameters:
 
     Parameters
     ----------
-    node : declares the parameters
     change : changes the run by new values of parameters, or raises a UserError
     present : returns the values in force of the parameters that may change
 

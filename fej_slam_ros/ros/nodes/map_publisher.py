@@ -16,7 +16,6 @@ class MapPublisher:
 
     Parameters
     ----------
-    topics : those of the node
     is_overdue : whether the process is to end; all are published once more at the end
 
     """

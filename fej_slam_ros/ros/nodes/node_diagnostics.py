@@ -17,15 +17,7 @@ CLOCK_PATIENCE = 5.0
 
 
 class NodeDiagnostics:
-    """
-    Publishes diagnostics of sessions with the state of topics, files and clock; logs new faults.
-
-    Parameters
-    ----------
-    node : the node of the sessions
-    topics, files : those of the node
-
-    """
+    """Publishes diagnostics of sessions, topics, files and clock; logs new faults."""
 
     def __init__(self, node: Node, topics: NodeTopics, files: NodeFiles) -> None:
         self._node = node

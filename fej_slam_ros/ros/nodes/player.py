@@ -34,7 +34,6 @@ class Player:
 
     Parameters
     ----------
-    node : that owns the publishers
     types : of all topics, by name
     latched : topics whose last message is kept for late subscribers; of static transforms all
         are, since each is of another node

@@ -34,7 +34,6 @@ class RelocalizeServices:
 
     Parameters
     ----------
-    node : that offers the services
     request : returns the record for a robot, or raises a UserError with the reason
 
     """

@@ -20,16 +20,7 @@ MIN_WORK_SHARE = 10.0
 
 
 class RunSaver:
-    """
-    Saves the session of a node.
-
-    Parameters
-    ----------
-    log : of the node
-    files : writes the checkpoints
-    session : returns the session at present
-
-    """
+    """Saves the session of a node."""
 
     def __init__(
         self, log: RcutilsLogger, files: NodeFiles, session: Callable[[], Session]

@@ -48,7 +48,6 @@ class SessionNode(SettingsNode):
 
     Parameters
     ----------
-    name : of the node
     stop : request to end the process, which limits the work at the end
 
     Attributes

@@ -15,16 +15,7 @@ from fej_slam_ros.ros.topic_types import TF_TYPE
 
 
 class TeamEndpoints:
-    """
-    Creates the topics and services of the present team, and destroys those of others.
-
-    Parameters
-    ----------
-    node : that owns them
-    topics : those of the node
-    request : as in `RelocalizeServices`
-
-    """
+    """Creates the topics and services of the present team, and destroys those of others."""
 
     def __init__(
         self, node: ManagedNode, topics: NodeTopics, request: Callable[[str], PosePrior]

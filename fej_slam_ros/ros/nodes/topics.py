@@ -29,7 +29,6 @@ class NodeTopics:
 
     Parameters
     ----------
-    node : that owns them
     receive : called with topic, type name and bytes of each message
 
     Attributes

@@ -27,22 +27,13 @@ UNKNOWN_ROBOT = 'unknown robot'
 
 
 class AdapterCounts:
-    """
-    Counts of each robot, by what is counted.
-
-    Parameters
-    ----------
-    robots : names of the robots
-    topics : the topics with objects
-    frames, queue, ids : of the adapter
-
-    """
+    """Counts of each robot, by what is counted."""
 
     def __init__(
-        self, robots: Collection[str], topics: Collection[str], frames: SensorFrames,
+        self, robots: Collection[str], object_topics: Collection[str], frames: SensorFrames,
         queue: ObjectQueue, ids: LandmarkIds,
     ) -> None:
-        self._robots, self._topics = robots, topics
+        self._robots, self._object_topics = robots, object_topics
         self._frames, self._queue, self._ids = frames, queue, ids
         # The name of an ignored object, by the robot of its topic, '' for those of the team.
         self._ignored: dict[str, str] = {}
@@ -124,7 +115,7 @@ class AdapterCounts:
                 f' {ignored!r}')
         if not all(map(self._queue.owner, origins)):
             return f'no detections that are known to be its own, see {UNKNOWN_ROBOT}'
-        topics = ', '.join(topic for topic in self._topics if topic.startswith(f'{name}/'))
+        topics = ', '.join(topic for topic in self._object_topics if topic.startswith(f'{name}/'))
         return f'no detections: publish them on {topics or "/tf"}'
 
 

@@ -43,7 +43,6 @@ class AdapterSession:
 
     Parameters
     ----------
-    settings : parameters of the adapter
     ids : IDs of names that are known before
     save : called with the IDs of all names when there are new ones, at most once a second
 

@@ -39,10 +39,6 @@ class DetectorSession:
     Landmarks have the stamp of the last beam. They are in the base frame of the robot if static
     transforms give the pose of its laser, else in the frame of the laser.
 
-    Parameters
-    ----------
-    settings : parameters of the detector
-
     Attributes
     ----------
     robots : the robots by name

@@ -30,12 +30,6 @@ class Diagnostics(ABC, Generic[ConsumerT]):
     """
     Reports on an estimator or a smoother and its inputs.
 
-    Parameters
-    ----------
-    consumer : estimator or smoother
-    inputs : its inputs
-    settings : of the node
-
     Attributes
     ----------
     settings : of the node at present

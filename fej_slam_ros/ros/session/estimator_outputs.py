@@ -40,15 +40,7 @@ class ThinnedPath:
 
 
 class EstimatorOutputs(Outputs[Estimator]):
-    """
-    Converts results of an estimator to messages.
-
-    Parameters
-    ----------
-    estimator : whose results are published
-    inputs, settings : as for all `Outputs`
-
-    """
+    """Converts results of an estimator to messages."""
 
     def __init__(self, estimator: Estimator, inputs: Inputs, settings: NodeSettings) -> None:
         super().__init__(estimator, inputs, settings, settings.publish_tf)

@@ -30,15 +30,7 @@ PRIOR_CURES = {
 
 
 class PosePriorLog:
-    """
-    Lines on the pose priors of a run.
-
-    Parameters
-    ----------
-    consumer : estimator or smoother that uses them
-    inputs : its inputs
-
-    """
+    """Lines on the pose priors of a run."""
 
     def __init__(self, consumer: Consumer, inputs: Inputs) -> None:
         self._consumer = consumer

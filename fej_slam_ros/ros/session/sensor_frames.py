@@ -23,7 +23,6 @@ class SensorFrames:
 
     Parameters
     ----------
-    robots : by name
     tf_topics : which topics have the static transforms, as the parameter of this name
 
     Attributes

@@ -20,7 +20,6 @@ def messages(simulated: Simulation, now: Callable[[], int] | None) -> Iterator[R
 
     Parameters
     ----------
-    simulated : the simulation
     now : returns the present time [ns], from which the stamps begin; None: simulated time
 
     """

@@ -14,15 +14,7 @@ from fej_slam_ros.ros.topic_types import SMOOTHED_ROBOT_TYPES, SMOOTHED_TEAM_TYP
 
 
 class SmootherOutputs(Outputs[TeamSmoother]):
-    """
-    Converts results of a smoother to messages.
-
-    Parameters
-    ----------
-    team : the smoother
-    inputs, settings : as for all `Outputs`
-
-    """
+    """Converts results of a smoother to messages."""
 
     team_types: Mapping[str, str] = SMOOTHED_TEAM_TYPES
     robot_types = SMOOTHED_ROBOT_TYPES
