@@ -37,9 +37,11 @@ from fej_slam_ros.benchmark.tables import report
 from fej_slam_ros.cli.arguments import integer_option, processors, require_matplotlib
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.victoria_park import associated_log
+from fej_slam_ros.datasets.victoria_park.associated_log import CAR_TEAMS, CarTeam
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.common.executor import in_order, processes
-from fej_slam_ros.experiments.liu.victoria_park import as_problem, dead_reckoning, filtered
+from fej_slam_ros.experiments.liu.victoria_park import (
+    as_problem, dead_reckoning, filtered, TeamLogs)
 from fej_slam_ros.output_lock import claimed
 
 NO_GTSAM = "GTSAM is left out: pip install '.[benchmark]' (Python >= 3.11)"
@@ -199,10 +201,9 @@ def _runs(folder: Path | None) -> list[run_speed.RunTime]:
     times = [run_speed.run_time(
         'synthetic, as large as Victoria Park', *run_speed.synthetic_park())]
     if folder is not None:
-        team = associated_log.CAR_TEAMS[2]
-        logs = associated_log.divide(associated_log.read(associated_log.find(folder)), team)
+        team = CAR_TEAMS[2]
         times.append(run_speed.run_time(
-            'Victoria Park, two robots', list(associated_log.records(logs)),
+            'Victoria Park, two robots', list(associated_log.records(_logs(folder, team))),
             associated_log.settings(team)))
     return times
 
@@ -210,22 +211,23 @@ def _runs(folder: Path | None) -> list[run_speed.RunTime]:
 def _smoothers(folder: Path | None) -> list[smoother_speed.SmootherTime]:
     times = [smoother_speed.smoother_time('synthetic, as large', *smoother_speed.synthetic_log())]
     if folder is not None:
-        logs = associated_log.divide(
-            associated_log.read(associated_log.find(folder)), associated_log.CAR_TEAMS[1])
+        logs = _logs(folder, CAR_TEAMS[1])
         start = dead_reckoning(logs, {'r1': np.zeros(3)})
         times.append(smoother_speed.smoother_time(
-            'Victoria Park, whole log',
-            *as_problem(logs, start, associated_log.ODOMETRY_Q, associated_log.OBSERVATION_R)))
+            'Victoria Park, whole log', *as_problem(logs, start)))
     return times
 
 
 def _batch(folder: Path) -> list[BatchTime]:
-    team = associated_log.CAR_TEAMS[2]
-    logs = associated_log.divide(associated_log.read(associated_log.find(folder)), team)
-    start = filtered(logs, team, 'fej')
-    problem, values = as_problem(
-        logs, start, associated_log.ODOMETRY_Q, associated_log.OBSERVATION_R)
+    team = CAR_TEAMS[2]
+    logs = _logs(folder, team)
+    problem, values = as_problem(logs, filtered(logs, team, 'fej'))
     return batch_times('Victoria Park, two robots', problem, values, _batch_solvers())
+
+
+def _logs(folder: Path, team: CarTeam) -> TeamLogs:
+    """Return the log of Victoria Park, divided among the robots of a team."""
+    return associated_log.divide(associated_log.read(associated_log.find(folder)), team)
 
 
 def _batch_solvers() -> dict[str, Solver]:

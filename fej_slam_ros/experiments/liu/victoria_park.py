@@ -119,7 +119,7 @@ def reproduce(
     try:
         progress('least squares over two robots')
         initial = dead_reckoning(logs, first_poses(logs, team))
-        two_robots = least_squares(logs, initial, park.ODOMETRY_Q, park.OBSERVATION_R)
+        two_robots = least_squares(logs, initial)
         progress('least squares over the whole log')
         one_robot = unweighted(park.divide(log, car), car)
     except ArithmeticError as error:
@@ -182,7 +182,8 @@ def dead_reckoning(logs: TeamLogs, first: Mapping[str, Array]) -> ParkEstimate:
 
 
 def least_squares(
-    logs: TeamLogs, initial: ParkEstimate, Q: Array, R: Array
+    logs: TeamLogs, initial: ParkEstimate, Q: Array = park.ODOMETRY_Q,
+    R: Array = park.OBSERVATION_R,
 ) -> BatchSolution:
     """Return the minimum near an estimate; increments have covariance Q and observations R."""
     solution = solve(*as_problem(logs, initial, Q, R))
@@ -193,7 +194,8 @@ def least_squares(
 
 
 def as_problem(
-    logs: TeamLogs, initial: ParkEstimate, Q: Array, R: Array
+    logs: TeamLogs, initial: ParkEstimate, Q: Array = park.ODOMETRY_Q,
+    R: Array = park.OBSERVATION_R,
 ) -> tuple[Problem, Values]:
     """Return the problem and its initial values: poses robot by robot, landmarks in order."""
     ends, index_of = _ends(logs), {id_: index for index, id_ in enumerate(initial.points)}
@@ -235,7 +237,7 @@ def causal_least_squares(logs: TeamLogs, batch: ParkEstimate) -> ParkEstimate:
         initial = ParkEstimate(
             {robot: x[:k + 1] for robot, x in batch.poses.items()},
             {id_: point for id_, point in batch.points.items() if id_ in observed})
-        solution = least_squares(past, initial, park.ODOMETRY_Q, park.OBSERVATION_R).estimate
+        solution = least_squares(past, initial).estimate
         for robot, x in solution.poses.items():
             poses[robot].append(x[-1])
     return ParkEstimate({robot: np.array(x) for robot, x in poses.items()}, batch.points)
