@@ -3,7 +3,6 @@
 """Messages of a bag for the robots of a team, which it is checked to have."""
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 import logging
 from pathlib import Path
 
@@ -12,10 +11,8 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags, front_end_topics
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.messages import decoded_as, RawMessage
-from fej_slam_ros.ros.messages.incoming import RejectedError
-from fej_slam_ros.ros.messages.incoming_clouds import has_unknown_landmarks
-from fej_slam_ros.ros.topic_types import CLOUD, expected_topics
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.topic_types import expected_topics
 
 
 def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Iterable[RawMessage]:
@@ -66,13 +63,3 @@ def _check_types(
         raise UserError(faults[odometry[0]])
     for fault in faults.values():
         logging.getLogger(__name__).warning(fault)
-
-
-def has_landmarks_without_ids(bag: Path, settings: CommonSettings, names: TopicNames) -> bool:
-    """Return whether a robot in a bag observed a landmark without ID."""
-    for message in bags.read(bag, names, [f'{robot.name}/landmarks' for robot in settings.robots]):
-        cloud = decoded_as(message, CLOUD)
-        with suppress(RejectedError):
-            if cloud is not None and has_unknown_landmarks(cloud):
-                return True
-    return False

@@ -58,14 +58,13 @@ def run(arguments: argparse.Namespace) -> int:
     # Those of the parameters are of live runs, perhaps of the estimator.
     settings = replace(settings, node=replace(
         settings.node, checkpoint='', restore=arguments.restore))
-    own_ids = not settings.estimation.shared_landmark_ids
     matches = None if arguments.restore else matches_in(
         arguments.bag, settings, names_in(arguments, arguments.bag))
     sessions = offline_run.process(
         arguments, settings, 'smoother', partial(BagSmootherSession, matches=matches),
         SmoothedSink)
     print('\n\n'.join(
-        '\n'.join([run_table(summary), *_tables(session, own_ids)])
+        '\n'.join([run_table(summary), *_tables(session)])
         for session, summary in sessions))
     if matches is not None:
         print(matched_in_words(matches.counts))
@@ -83,9 +82,10 @@ class SmoothedSink(offline_run.BagSink[BagSmootherSession]):
         return from_time(message.header.stamp) if topic.endswith('/pose') else self.now
 
 
-def _tables(session: BagSmootherSession, own_ids: bool) -> Iterator[str]:
+def _tables(session: BagSmootherSession) -> Iterator[str]:
     """Yield the fit of each map, rejected rendezvous, base nodes, and sizes of messages."""
     solution = session.team.solution
+    own_ids = not session.settings.estimation.shared_landmark_ids
     for solved in solution.maps:
         associated = sum(len(names) > 1 for names in solved.landmarks)
         yield (
