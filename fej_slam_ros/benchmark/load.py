@@ -27,6 +27,8 @@ LANDMARK_SIGMA = (0.1, 0.1)
 LOAD_START_SIGMA = [0.01, 0.01, 0.01]
 #: Range of the sensors [m]: at least 17 of 500 landmarks are in view.
 SENSOR_RANGE = 8.0
+#: Scans of each robot per second, at stamps of its odometry, and landmarks in each, the nearest.
+SCAN_RATE = SCAN_SIZE = 10
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,6 @@ class Load:
 
     robots: int  #: Number of robots; no two send at the same time
     odometry_rate: int  #: Odometry messages of each robot per second
-    scan_rate: int = 10  #: Scans of each robot per second, at stamps of its odometry
-    observations: int = 10  #: Number of landmarks in a scan, the nearest ones
     landmarks: int = 500  #: Number of landmarks
     seconds: int = 120  #: Duration
 
@@ -57,7 +57,7 @@ class Load:
             delay = k * NS // (self.robots * self.odometry_rate)
             own = replace(world, stamps=tuple(stamp + delay for stamp in world.stamps))
             # The robots take turns with their scans, too.
-            every = self.odometry_rate // self.scan_rate
+            every = self.odometry_rate // SCAN_RATE
             sources += [
                 odometry(own, name, self._sensors().odometry_sigma, rng.spawn(1)[0]),
                 self._scans(_at(own, slice(k % every, None, every)), name, rng.spawn(1)[0])]
@@ -82,7 +82,7 @@ class Load:
     def _scans(self, world: World, name: str, rng: np.random.Generator) -> Iterator[Scan]:
         for scan in scans(world, name, self._sensors(), rng):
             nearest = sorted(scan.observations, key=lambda one: math.hypot(*one.z))
-            yield replace(scan, observations=ordered(nearest[:self.observations]))
+            yield replace(scan, observations=ordered(nearest[:SCAN_SIZE]))
 
 
 def _at(world: World, steps: slice) -> World:
