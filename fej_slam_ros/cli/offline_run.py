@@ -107,45 +107,6 @@ class BagSink(Sink[SessionT]):
         self.write([session.diagnostics.report(self.now, at_rest)])
 
 
-class BagRuns(Generic[SessionT]):
-    """
-    Sessions over one bag, each with a folder of its own: DIR, DIR_2, DIR_3, ...
-
-    Parameters
-    ----------
-    node : name of the node that does the same live
-    names : under which the bag is read
-    begin : creates a session from its settings, its folder, and whether files may be replaced
-
-    Attributes
-    ----------
-    folders : those of the sessions so far
-
-    """
-
-    def __init__(
-        self, arguments: argparse.Namespace, node: str, names: TopicNames,
-        begin: Callable[[RunSettings, Path, bool], SessionT],
-    ) -> None:
-        self._arguments, self._node, self._names, self._begin = arguments, node, names, begin
-        self.folders: list[Path] = []
-
-    def start(self, settings: RunSettings, resources: ExitStack) -> SessionT:
-        """Return a new session, whose incomplete files are deleted with some resources."""
-        output, force = self._arguments.output, self._arguments.force
-        with postponed():
-            if self.folders:
-                path = output.resolve()
-                output = path.with_name(f'{path.name}_{len(self.folders) + 1}')
-            self.folders.append(output)
-            session = self._begin(settings, output, force)
-            resources.callback(session.discard_files)
-        refuse_existing([output / PICTURE], force)
-        session.diagnostics.node_name = self._names.published(self._node)
-        session.source = {'bag': str(self._arguments.bag.resolve()), **self._names.as_dict()}
-        return session
-
-
 def process(
     arguments: argparse.Namespace, settings: RunSettings, node: str,
     begin: Callable[[RunSettings, Path, bool], SessionT],
@@ -154,15 +115,35 @@ def process(
     """
     Run a session over a bag, and a new one after each time jump; yield each with its summary.
 
-    Parameters are those of `BagRuns`; `bag_sink` writes the output bag.
+    Each has a folder of its own for its files: DIR, DIR_2, DIR_3, ...
+
+    Parameters
+    ----------
+    settings : of the first session
+    node : name of the node that does the same live
+    begin : creates a session from its settings, its folder, and whether files may be replaced
+    bag_sink : writes the output bag
+
     """
     names = names_in(arguments, arguments.bag)
     messages = team_messages(arguments.bag, settings.estimation, names)
     output_bag = arguments.output / 'bag'
     _check(arguments, output_bag)
-    runs = BagRuns(arguments, node, names, begin)
-    with ExitStack() as stack:
-        session = runs.start(settings, stack)
+    folders: list[Path] = []
+    stack = ExitStack()
+
+    def start(settings: RunSettings) -> SessionT:
+        with postponed():
+            folders.append(_folder(arguments.output, len(folders) + 1))
+            session = begin(settings, folders[-1], arguments.force)
+            stack.callback(session.discard_files)
+        refuse_existing([folders[-1] / PICTURE], arguments.force)
+        session.diagnostics.node_name = names.published(node)
+        session.source = {'bag': str(arguments.bag.resolve()), **names.as_dict()}
+        return session
+
+    with stack:
+        session = start(settings)
         _warn_of_changes(session.settings)
         sink: Sink[SessionT] = Sink()
         if arguments.write_bag:
@@ -174,14 +155,22 @@ def process(
             if session.inputs.time_jump_detector.has_ended_run():
                 sink.close(session)
                 yield session, session.write_files()
-                ended, session = session, runs.start(session.next_settings(output=''), stack)
+                ended, session = session, start(session.next_settings(output=''))
                 session.continue_from(ended)
             sink.take(message.received or 0, session, session.take())
         sink.end(session)
         summary = session.write_files()
     yield session, summary
-    for folder in runs.folders:
+    for folder in folders:
         _renew_picture(folder, arguments.picture)
+
+
+def _folder(output: Path, number: int) -> Path:
+    """Return the folder of a session."""
+    if number == 1:
+        return output
+    path = output.resolve()
+    return path.with_name(f'{path.name}_{number}')
 
 
 def _warn_of_changes(settings: RunSettings) -> None:
