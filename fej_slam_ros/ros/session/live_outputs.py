@@ -54,7 +54,8 @@ class LiveOutputs(EstimatorOutputs):
     def predictions(self, is_wanted: IsWanted) -> Iterator[Publication]:
         """Yield the messages of the newest odometry of each robot, once and if it is wanted."""
         for name in [*self._newest_odometry]:
-            if not any(map(is_wanted, self._topics_of(name))):
+            topics = [*(f'{name}/{kind}' for kind in PREDICTED_TYPES), *self._tf_topics(name)]
+            if not any(map(is_wanted, topics)):
                 del self._newest_odometry[name]
                 continue
             predicted = self._predictors[name].predict(self._consumer.robots[name])
@@ -65,9 +66,6 @@ class LiveOutputs(EstimatorOutputs):
     def _add(self, record: Odometry, message: Message) -> None:
         if self._predictors[record.robot].add(record):
             self._newest_odometry[record.robot] = record, message
-
-    def _topics_of(self, robot: str) -> list[str]:
-        return [*(f'{robot}/{kind}' for kind in PREDICTED_TYPES), *self._tf_topics(robot)]
 
     def _messages(
         self, predicted: PoseEstimate, record: Odometry, message: Message, is_wanted: IsWanted
