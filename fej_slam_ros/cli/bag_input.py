@@ -19,10 +19,7 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
     """
     Return the messages of a bag, read under other names, with a progress bar.
 
-    Raises
-    ------
-    UserError
-        The bag has odometry of no robot of the settings, or only messages of another type.
+    A UserError says that it has odometry of no robot of the settings, or only of another type.
 
     """
     team = [robot.name for robot in settings.robots]

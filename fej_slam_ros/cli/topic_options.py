@@ -32,15 +32,7 @@ def node_names(arguments: argparse.Namespace, *nodes: str) -> list[str]:
 
 
 def names_in(arguments: argparse.Namespace, *bags: Path, is_played: bool = False) -> TopicNames:
-    """
-    Return the names in the options for some bags.
-
-    Raises
-    ------
-    UsageError
-        The topics of the bags do not fit the options.
-
-    """
+    """Return the names in the options for some bags; UsageError if their topics do not fit."""
     from fej_slam_ros.ros.files.bags import topics
 
     names = topic_names(arguments.remap, arguments.namespace)

@@ -84,10 +84,7 @@ def read(folder: Path) -> list[Record]:
     """
     Return the records in a folder in the order of stamps, the true landmarks first.
 
-    Raises
-    ------
-    UserError
-        There is no odometry, or a row is damaged.
+    A UserError says that there is no odometry, or that a row is damaged.
 
     """
     require_folder(folder, 'odometry.csv')

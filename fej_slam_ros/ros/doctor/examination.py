@@ -44,12 +44,8 @@ def examine(
     """
     Return all findings in a bag, errors first; its own robots are checked without settings.
 
-    The file may have parameters of the detector, too.
-
-    Raises
-    ------
-    UserError
-        The bag cannot be read, or it has no topic of a robot.
+    The file may have parameters of the detector, too. A UserError says that the bag cannot be
+    read, or that it has no topic of a robot.
 
     """
     bag_topics = bags.topics(path, names)

@@ -42,15 +42,7 @@ class BadCloudError(ValueError):
 
 
 def cloud_size(raw: bytes) -> CloudSize:
-    """
-    Return the size of a serialised cloud from its header, without decoding it.
-
-    Raises
-    ------
-    BadCloudError
-        If the message is too short.
-
-    """
+    """Return the size of a serialised cloud from its header; BadCloudError if it is too short."""
     order = '<' if raw[1:2] == b'\1' else '>'
     try:
         # After 4 bytes on the encoding: stamp, and the frame, a string padded to 4 bytes.

@@ -115,7 +115,7 @@ class NodeFiles:
             self._checkpoint.save(content, REQUEST_WAIT)
 
     def begin(self, is_first: bool) -> None:
-        """Begin a run, before its files are opened; all but the first do so even without files."""
+        """Begin a run, before its files are opened; only the first run cannot do without them."""
         self._notes.clear()
         self._is_first = is_first
 
