@@ -195,10 +195,7 @@ class Detector:
         """
         Return the landmarks as seen from the pose at the end of a scan.
 
-        Parameters
-        ----------
-        stamped_scan : the scan with its stamp
-        u, Q : motion (3,) that leads back from its end to its begin, and its covariance (3, 3)
+        u (3,) is the motion that leads back from its end to its begin, Q (3, 3) its covariance.
 
         """
         scan, last = stamped_scan.scan, len(stamped_scan.scan.ranges) - 1

@@ -29,21 +29,13 @@ MIN_CURVATURE = 30.0
 
 @dataclass(frozen=True, slots=True)
 class PostDetector:
-    """
-    Detects posts.
+    """Detects posts."""
 
-    Attributes
-    ----------
-    min_radius, max_radius : limits of the radius of a post [m]
-    range_sigma : standard deviation of a range [m]
-    max_range : range beyond which nothing is detected [m]
-
-    """
-
+    #: Limits of the radius of a post [m].
     min_radius: float = 0.03
     max_radius: float = 0.5
-    range_sigma: float = 0.03
-    max_range: float = math.inf
+    range_sigma: float = 0.03  #: Standard deviation of a range [m]
+    max_range: float = math.inf  #: Range beyond which nothing is detected [m]
 
     def __call__(self, scan: LaserScan) -> Detections:
         """Return the posts in a scan."""

@@ -22,22 +22,13 @@ MIN_RADIUS = 0.1
 
 @dataclass(frozen=True, slots=True)
 class ReflectorDetector:
-    """
-    Detects runs of beams with a high intensity.
+    """Detects runs of beams with a high intensity."""
 
-    Attributes
-    ----------
-    intensity_threshold : minimum intensity of a beam that meets a reflector, in the sensor's unit
-    radius : of a round reflector, 0 if they are flat [m]
-    range_sigma : standard deviation of a range [m]
-    max_range : range beyond which nothing is detected [m]
-
-    """
-
+    #: Minimum intensity of a beam that meets a reflector, in the sensor's unit.
     intensity_threshold: float
-    radius: float = 0.0
-    range_sigma: float = 0.03
-    max_range: float = math.inf
+    radius: float = 0.0  #: Radius of round reflectors, 0 if they are flat [m]
+    range_sigma: float = 0.03  #: Standard deviation of a range [m]
+    max_range: float = math.inf  #: Range beyond which nothing is detected [m]
 
     def __call__(self, scan: LaserScan) -> Detections:
         """Return the reflectors in a scan, which must have intensities."""

@@ -36,7 +36,6 @@ def read_bounded(path: Path, max_size: int, is_nested: bool = False) -> bytes:
 
     Parameters
     ----------
-    path : of the file
     max_size : its maximum size [bytes]
     is_nested : whether texts in it may be YAML again, as the quality of service of bags
 
