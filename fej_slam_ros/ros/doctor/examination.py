@@ -49,7 +49,7 @@ def examine(
 
     """
     bag_topics = bags.topics(path, names)
-    settings = given or _default_settings(path, names)
+    settings = given or _default_settings(path, names, robots_in(bag_topics))
     team_names = [robot.name for robot in settings.estimation.robots]
     names.check_new(expected_topics(team_names))
     recorded = RecordedRobots(path, names, team_names)
@@ -137,11 +137,11 @@ def _check_messages(
     yield from team.check(survey, trial, estimation)
 
 
-def _default_settings(path: Path, names: TopicNames) -> RunSettings:
-    robots = robots_in(bags.topics(path, names))
+def _default_settings(path: Path, names: TopicNames, robots: Sequence[str]) -> RunSettings:
+    """Return the settings for the robots of a bag; a UserError says that there are none."""
     if not robots:
         recorded = RecordedRobots(path, names)
         raise UserError(
             f'{path} has no topic <robot>/odom, <robot>/landmarks or <robot>/robots, it has'
             f' {recorded.found()}: {recorded.cure()}')
-    return parameters.parse({'robots': robots})
+    return parameters.parse({'robots': [*robots]})

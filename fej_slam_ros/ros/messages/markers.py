@@ -47,8 +47,7 @@ def markers(
     map_frame : name of the frame ``map`` in the message
 
     """
-    drawn = [_marker(
-        header(stamp, MAP), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
+    drawn = [_delete_all(stamp, MAP)]
     for index, newest, poses in robots:
         drawn += _robot(stamp, index, newest, poses)
     for frame, points, P in maps:
@@ -65,7 +64,7 @@ def detection_markers(
 ) -> MarkerArray:
     """Return detected landmarks as discs of their radii, with 3-sigma ellipses and names."""
     pen = _Pen(stamp, frame, LANDMARK_COLOUR)
-    drawn = [_marker(header(stamp, frame), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))]
+    drawn = [_delete_all(stamp, frame)]
     for k, (point, covariance, radius) in enumerate(zip(points, R, radii.tolist())):
         width = 2.0 * max(radius, MIN_MARKER_RADIUS)
         drawn.append(pen.draw(
@@ -142,6 +141,11 @@ def _landmarks(stamp: int, frame: str, points: Array, P: Array) -> Iterator[Mark
         yield dots
     for k, (point, covariance) in enumerate(zip(points, P)):
         yield pen.draw_ellipse('landmark_ellipses', k, point, covariance)
+
+
+def _delete_all(stamp: int, frame: str) -> Marker:
+    """Return a marker that deletes the earlier ones."""
+    return _marker(header(stamp, frame), 'all', 0, Marker.DELETEALL, Marker.ARROW, np.zeros(3))
 
 
 def _points(points: Array) -> list[Point]:
