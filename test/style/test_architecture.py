@@ -109,8 +109,6 @@ RULES = {
         'fej_slam_ros.tables matplotlib'),
     'ros/files/run_results.py': Rule(
         f'{ROS} fej_slam_ros.evaluation.run_result', ABOVE_FILES),
-    # It restores the inputs of a run.
-    'ros/files/checkpoint.py': Rule(ROS, 'fej_slam_ros.ros.nodes'),
     'ros/files/': Rule(ROS, ABOVE_FILES),
     'ros/messages/': Rule(ROS, ABOVE_FILES),
     'ros/parameters/': Rule(ROS, ABOVE_FILES),

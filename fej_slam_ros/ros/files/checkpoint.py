@@ -32,7 +32,6 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.parameters import (
     deciding, estimation_of, known_parameters, NodeSettings, ParameterChange, RunSettings,
     SMOOTHER, with_values)
-from fej_slam_ros.ros.session.inputs import Inputs
 
 TITLE_START = b'fej_slam_ros checkpoint, '
 #: Number of the file format: the three lines, and how JSON refers to arrays. Changes of the stored
@@ -46,11 +45,11 @@ Values = dict[str, Any]
 
 
 def content_of(
-    settings: RunSettings, estimator: Estimator, inputs: Inputs, prior: PriorMap | None,
+    settings: RunSettings, estimator: Estimator, inputs: Values, prior: PriorMap | None,
     changes: Sequence[ParameterChange],
 ) -> bytes:
     """
-    Return the content of a checkpoint of an estimator.
+    Return the content of a checkpoint of an estimator and of its inputs as plain data.
 
     The settings are those at the start of the run, the changes those of their parameters since;
     prior is the estimator's prior map.
@@ -58,16 +57,16 @@ def content_of(
     """
     return _sealed({
         'settings': _deciding(settings.estimation, prior),
-        'given': _deciding(settings.given(), prior), 'inputs': inputs.snapshot(),
+        'given': _deciding(settings.given(), prior), 'inputs': inputs,
         'changes': [change.as_json() for change in changes],
         ESTIMATOR_KEY: core.snapshot(estimator)})
 
 
-def content_of_smoother(settings: RunSettings, team: TeamSmoother, inputs: Inputs) -> bytes:
-    """Return the content of a checkpoint of a smoother with its settings."""
+def content_of_smoother(settings: RunSettings, team: TeamSmoother, inputs: Values) -> bytes:
+    """Return the content of a checkpoint of a smoother with its settings, as of `content_of`."""
     return _sealed({
         'settings': _deciding_smoother(settings.estimation),
-        'given': _deciding_smoother(settings.given()), 'inputs': inputs.snapshot(),
+        'given': _deciding_smoother(settings.given()), 'inputs': inputs,
         SMOOTHER_KEY: core.snapshot(team)})
 
 
@@ -87,41 +86,50 @@ def write(path: Path, content: bytes) -> None:
     write_bytes(path, content)
 
 
+@contextmanager
+def refusing_malformed(path: Path) -> Iterator[None]:
+    """Turn any error of reading the content of a file into a UserError."""
+    try:
+        yield
+    except UserError:
+        raise
+    # The checksum is no signature, so the content may be anything.
+    except Exception as error:  # noqa: BLE001
+        reason = ' '.join(str(error).split()) or type(error).__name__
+        raise UserError(f'{path} is damaged: {reason}; restore another checkpoint') from None
+
+
 def load(
     path: Path, settings: RunSettings, prior: PriorMap | None = None
-) -> tuple[RunSettings, Estimator, Inputs, list[ParameterChange]]:
+) -> tuple[RunSettings, Estimator, Values, list[ParameterChange]]:
     """
     Return the settings of a saved run, its estimator and inputs, and its changes of parameters.
 
     The given settings must be those that the run, or the process that saved it, was started with;
-    the changed ones are in force.
+    the changed ones are in force. The inputs are plain data, to be read in `refusing_malformed`.
 
     """
-    with _refusing_malformed(path):
+    with refusing_malformed(path):
         stored = _stored(path, ESTIMATOR_KEY)
         settings = _run_settings(path, stored, settings, _deciding(settings.estimation, prior))
         changes = [ParameterChange(**change) for change in stored['changes']]
         estimator = core.restore(
             stored[ESTIMATOR_KEY], _present(settings.estimation, changes), Estimator)
-        inputs = Inputs(estimator, settings.node)
-        inputs.restore(stored['inputs'])
-    return settings, estimator, inputs, changes
+        return settings, estimator, stored['inputs'], changes
 
 
-def load_smoother(path: Path, settings: RunSettings) -> tuple[RunSettings, TeamSmoother, Inputs]:
+def load_smoother(path: Path, settings: RunSettings) -> tuple[RunSettings, TeamSmoother, Values]:
     """Return the settings of a saved run, its smoother and its inputs, as of `load`."""
-    with _refusing_malformed(path):
+    with refusing_malformed(path):
         stored = _stored(path, SMOOTHER_KEY)
         settings = _run_settings(path, stored, settings, _deciding_smoother(settings.estimation))
         team = core.restore(stored[SMOOTHER_KEY], settings.estimation, TeamSmoother)
-        inputs = Inputs(team, settings.node)
-        inputs.restore(stored['inputs'])
-    return settings, team, inputs
+        return settings, team, stored['inputs']
 
 
 def load_map(path: Path) -> PriorMap:
     """Return the landmarks in ``map`` of a checkpoint made with any settings."""
-    with _refusing_malformed(path):
+    with refusing_malformed(path):
         stored = _stored(path, ESTIMATOR_KEY)
         changes = [ParameterChange(**change) for change in stored['changes']]
         settings = _present(estimation_of(stored['settings']), changes)
@@ -170,18 +178,6 @@ def _present(settings: Settings, changes: Sequence[ParameterChange]) -> Settings
         (change.parameter, known[change.parameter].kind.read(change.after))
         # The team, and the settings of its new robots, are in the snapshot.
         for change in changes if change.parameter in known.keys() - {'robots'}])
-
-
-@contextmanager
-def _refusing_malformed(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except UserError:
-        raise
-    # The checksum is no signature, so the content may be anything.
-    except Exception as error:  # noqa: BLE001
-        reason = ' '.join(str(error).split()) or type(error).__name__
-        raise UserError(f'{path} is damaged: {reason}; restore another checkpoint') from None
 
 
 def _sealed(values: Values) -> bytes:

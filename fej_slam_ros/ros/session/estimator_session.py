@@ -24,7 +24,7 @@ from fej_slam_ros.ros.published_maps import estimator_maps
 from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
 from fej_slam_ros.ros.session.estimator_log import EstimatorLog
 from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.inputs import Inputs, restored_inputs
 from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication, rejections
 from fej_slam_ros.ros.session.session import FilesOpener, Session
@@ -63,8 +63,10 @@ class EstimatorSession(Session):
         self.is_restored = checkpoint.is_to_restore(settings.node)
         self.changes: list[ParameterChange] = []
         if self.is_restored:
-            self.settings, self.estimator, self.inputs, self.changes = checkpoint.load(
-                Path(settings.node.restore), settings, self.prior)
+            path = Path(settings.node.restore)
+            self.settings, self.estimator, inputs, self.changes = checkpoint.load(
+                path, settings, self.prior)
+            self.inputs = restored_inputs(path, inputs, self.estimator, settings.node)
         else:
             self.estimator = Estimator(settings.estimation, self.prior)
             self.inputs = Inputs(self.estimator, settings.node)
@@ -152,7 +154,7 @@ class EstimatorSession(Session):
 
     def _checkpoint_content(self) -> bytes:
         return checkpoint.content_of(
-            self.settings, self.estimator, self.inputs, self.prior, self.changes)
+            self.settings, self.estimator, self.inputs.snapshot(), self.prior, self.changes)
 
     def _last_step(self) -> int | None:
         return max((

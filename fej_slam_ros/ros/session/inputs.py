@@ -5,6 +5,7 @@
 from collections import Counter, defaultdict
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from fej_slam_ros.core.records import AnyScan, NS, Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.core.snapshot import from_plain, to_plain
+from fej_slam_ros.ros.files.checkpoint import refusing_malformed
 from fej_slam_ros.ros.messages import (
     decoded_as, deserialize, incoming, incoming_clouds, Message, RawMessage, serialize)
 from fej_slam_ros.ros.messages.common import from_time
@@ -306,6 +308,16 @@ class Inputs:
 
     def _reject(self, robot: str, stamp: int, reason: RejectionReason) -> None:
         self._consumer.statistics.reject_message(robot, stamp, reason)
+
+
+def restored_inputs(
+    path: Path, stored: dict[str, Any], consumer: Consumer, settings: NodeSettings
+) -> Inputs:
+    """Return the inputs of a saved run, as they are stored in its checkpoint."""
+    inputs = Inputs(consumer, settings)
+    with refusing_malformed(path):
+        inputs.restore(stored)
+    return inputs
 
 
 def _arrived(message: Message, robot: str, received: int | None) -> ArrivedOdometry:

@@ -27,7 +27,7 @@ from fej_slam_ros.ros.files.run_files import RunFiles
 from fej_slam_ros.ros.files.run_summary import smoother_summary
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.published_maps import smoother_maps
-from fej_slam_ros.ros.session.inputs import Inputs
+from fej_slam_ros.ros.session.inputs import Inputs, restored_inputs
 from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages
 from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.session import FilesOpener, Session
@@ -85,8 +85,9 @@ class SmootherSession(Session):
         node = self.settings.node
         self.is_restored = checkpoint.is_to_restore(node)
         if self.is_restored:
-            self.settings, self.team, self.inputs = checkpoint.load_smoother(
-                Path(node.restore), self.settings)
+            path = Path(node.restore)
+            self.settings, self.team, inputs = checkpoint.load_smoother(path, self.settings)
+            self.inputs = restored_inputs(path, inputs, self.team, node)
         else:
             self.team = self._new_team(solve_every)
             self.inputs = Inputs(self.team, node)
@@ -195,7 +196,7 @@ class SmootherSession(Session):
         return replace(self.settings.estimation, robots=tuple(self.team.robots.values()))
 
     def _checkpoint_content(self) -> bytes:
-        return checkpoint.content_of_smoother(self.settings, self.team, self.inputs)
+        return checkpoint.content_of_smoother(self.settings, self.team, self.inputs.snapshot())
 
     def _adopted(self) -> Iterator[Publication]:
         """Report an adopted solution, and yield its publications."""

@@ -365,6 +365,19 @@ def assert_one_line(text):
     assert '\n' not in text
 
 
+@pytest.mark.parametrize('session', [EstimatorSession, SmootherSession])
+@pytest.mark.parametrize('inputs', [None, {}, {'unused': 1}])
+def test_crafted_inputs_are_refused(path, session, inputs):
+    run = session(run_settings(checkpoint=str(path)), None)
+    save(run)
+    title, _, content = path.read_bytes().split(b'\n', 2)
+    text, _, arrays = content.partition(b'\n')
+    write_sealed(path, title, json.dumps({**json.loads(text), 'inputs': inputs}).encode(), arrays)
+
+    with pytest.raises(UserError, match=r'is damaged: .*; restore another checkpoint'):
+        session(run_settings(restore=str(path)), None)
+
+
 @pytest.mark.parametrize('text', [
     b'[' * 200_000, b'{"a":' * 200_000, b'{"estimator":' + b'[' * 100_000 + b']' * 100_000 + b'}',
     b'9' * 100_000, b'', b'\xff\xfe'])
