@@ -66,7 +66,7 @@ def batch_times(
 
 
 def solve(problem: Problem, start: Values) -> TimedSolution:
-    """Return our minimum."""
+    """Return the solution of this package, and the time to it."""
     problem.forget_systems()
     begin = perf_counter()
     solution = least_squares.solve(problem, start)

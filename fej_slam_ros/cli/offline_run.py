@@ -166,7 +166,7 @@ def process(
 
 
 def _folder(output: Path, number: int) -> Path:
-    """Return the folder of a session."""
+    """Return the folder of the first session, the second one, and so on."""
     if number == 1:
         return output
     path = output.resolve()

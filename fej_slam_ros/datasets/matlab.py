@@ -15,7 +15,7 @@ from fej_slam_ros.errors import UserError
 
 
 def matrices(path: Path, columns: Mapping[str, int]) -> dict[str, Array]:
-    """Return those of the named matrices, with the given numbers of columns, that a file holds."""
+    """Return the matrices in a file, as far as it has them, by names and numbers of columns."""
     try:
         variables = loadmat(path, variable_names=list(columns))
     # scipy has no common exception for damaged files; five types have been observed.

@@ -54,7 +54,7 @@ class Environment:
 
 @dataclass(frozen=True)
 class RendezvousEnvironment:
-    """The same for two robots that observe each other; each has landmark IDs of its own."""
+    """Two robots that observe each other; each has landmark IDs of its own."""
 
     world: RendezvousSettings
     sensors: ScannerSettings
@@ -76,7 +76,7 @@ class RendezvousEnvironment:
 
 @dataclass(frozen=True)
 class LaserEnvironment:
-    """The same for robots with planar lasers among posts; their scans are not yet observations."""
+    """Robots with planar lasers among posts; their scans are not yet observations."""
 
     world: LaserWorldSettings
     sensors: LidarSettings
@@ -94,7 +94,7 @@ class LaserEnvironment:
 
 @dataclass(frozen=True)
 class TagEnvironment:
-    """The same for robots with cameras among tags, which they carry too."""
+    """Robots with cameras among tags, which they carry too."""
 
     world: WorldSettings
     sensors: CameraSettings

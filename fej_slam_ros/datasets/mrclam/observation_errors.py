@@ -90,7 +90,7 @@ def observation_errors(
 def errors_near_truth(
     data: MrclamSet, options: ConversionOptions
 ) -> tuple[ObservationErrors, ObservationErrors]:
-    """Return errors likewise; odometry leads from true poses to those within `NEAR_TRUTH`."""
+    """Return the errors within `NEAR_TRUTH` of true poses, from which odometry leads to them."""
     return _errors(
         data, options.camera_delay, lambda log, stamps: _near_true_poses(log, options, stamps))
 

@@ -137,7 +137,7 @@ def _posts(
 def _scan_findings(
     robot: str, fit: SensorFit | None, other: SensorFit | None, reversed_beams: bool
 ) -> Iterator[Finding]:
-    """Yield what explains the disagreement of scans, given that with beams in the other order."""
+    """Yield what explains a disagreement of scans; `other` is that by beams in reverse order."""
     if fit is None:
         return
     if other is not None and _explains(other, fit):

@@ -50,7 +50,7 @@ class RejectedError(Exception):
 
 
 class StaticTransform(NamedTuple):
-    """A link of a robot."""
+    """The constant pose of a frame of a robot in another one."""
 
     parent: str
     child: str

@@ -85,7 +85,7 @@ def changes_before(settings: RunSettings) -> str:
 
 
 def with_node_values(node: NodeSettings, values: Mapping[str, Any]) -> NodeSettings:
-    """Return the settings of a node with those of some values that are its own."""
+    """Return the settings of a node with new values; those of estimation are left out."""
     own = parameters_of(NodeSettings)
     return replace(node, **{name: value for name, value in values.items() if name in own})
 

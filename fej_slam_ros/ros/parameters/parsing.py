@@ -34,7 +34,7 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
 
 
 def estimation_of(values: Mapping[str, object]) -> Settings:
-    """Return the settings of which the values are the deciding ones, as of `deciding`."""
+    """Return the settings of which `deciding` has returned the values."""
     robots = robot_names(values['robots'])
     given, _ = _divided_by_owner(checked_values(values, known_parameters(robots)), robots)
     return _estimation_settings(robots, given, has_peers=False)

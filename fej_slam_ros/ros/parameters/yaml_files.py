@@ -67,7 +67,7 @@ def load_values(
 
 
 def load_current_values(path: Path, nodes: Sequence[str]) -> dict[str, object]:
-    """Return the same under the current names, without the warnings, which `load` gives."""
+    """Return the parameters of `load_values` by their current names, without warnings."""
     return with_current_names(load_values(path, nodes, no_warning), no_warning)
 
 

@@ -27,7 +27,7 @@ UNKNOWN_ROBOT = 'unknown robot'
 
 
 class AdapterCounts:
-    """Counts of each robot, by what is counted."""
+    """Counts of the messages and objects of each robot, and warnings that follow from them."""
 
     def __init__(
         self, robots: Collection[str], object_topics: Collection[str], frames: SensorFrames,

@@ -46,7 +46,7 @@ class GateCounts(NamedTuple):
     gated: int  #: rejected ones
 
     def total(self) -> int:
-        """Return the number of all."""
+        """Return the number of all that were compared."""
         return self.used + self.gated
 
 

@@ -224,7 +224,7 @@ class LateAnchor(StartCheck):
         self._is_checked = not settings.anchor
 
     def admit(self, arrived: ArrivedOdometry) -> list[ArrivedOdometry]:
-        """Return the odometry."""
+        """Pass the odometry on, and check whether the anchor had moved before its first one."""
         if arrived.record.robot == self._anchor and not self._is_checked:
             self._received.append(arrived.record)
             missed = self._messages.missed(_topic(self._anchor))

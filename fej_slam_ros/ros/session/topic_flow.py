@@ -80,7 +80,7 @@ class TopicFlow:
             and not self.rejected_in_a_row.keys() <= {RejectionReason.TOO_LARGE})
 
     def is_sent_again(self) -> bool:
-        """Return whether the rejected messages are such as were used before, as intended."""
+        """Return whether all rejected messages were used before, perhaps in an earlier process."""
         return self.rejected_in_a_row.keys() <= SENT_AGAIN
 
     def usual_gap(self) -> int:
