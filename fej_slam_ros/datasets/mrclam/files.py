@@ -10,6 +10,7 @@ its true poses by motion capture. Impossible rows are dropped and counted by rea
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 import math
 from pathlib import Path
 
@@ -18,9 +19,10 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
 from fej_slam_ros.core.ordering.backward_stamps import breaks
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
-from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart
+from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP
 from fej_slam_ros.datasets.mrclam.clocks import in_order
 from fej_slam_ros.datasets.mrclam.series import drop, Series, Stamps
 from fej_slam_ros.errors import UserError
@@ -29,6 +31,16 @@ from fej_slam_ros.errors import UserError
 ROBOT_SUBJECTS = range(1, 6)
 #: Stamps are rounded to microseconds, which a float of the files' seconds resolves.
 TICKS = 1_000_000
+#: Speeds [m/s, rad/s] beyond which the estimator takes odometry for that of a restarted driver.
+MAX_SPEEDS = np.array([RobotSettings.max_speed, RobotSettings.max_turn_rate])
+#: Largest range [m], beyond that of any camera.
+MAX_RANGE = 1e5
+#: Longest time [ns] between a row and most commands of its robot: a set lasts less than a day, and
+#: a clock that was not set begins in 1970.
+MAX_DISTANCE = 24 * 3600 * NS
+#: Maximum number of successive commands whose stamps are damaged; more are of another clock.
+MAX_STRAYS = 10
+FAR_STAMP = 'stamp far from those of other rows'
 #: Motion capture has slipped if it is faster than SPEED_MARGIN times the fastest command by more
 #: than TRUTH_NOISE [m, m, rad]; true poses within SLIP_MARGIN [ns] of a slip are dropped, and at
 #: most MAX_SLIP_TIME [ns] between two slips if the robot can have moved without them.
@@ -66,6 +78,7 @@ class MrclamSet:
 def read(folder: Path) -> MrclamSet:
     """Return the set in a folder, which must hold bar codes and the odometry of a robot."""
     require_folder(folder, 'the files of an MRCLAM set')
+    _require_known_robots(folder)
     broken: Counter[str] = Counter()
     codes = _subjects_by_code(folder / 'Barcodes.dat', broken)
     sparse_truth = _table(folder / 'sparse_truth.csv', 5, broken, max_columns=6)
@@ -87,7 +100,26 @@ def _subjects_by_code(path: Path, broken: Counter[str]) -> dict[int, int]:
         raise UserError(
             f'{path} is missing or has no bar codes: give the folder with all files of an MRCLAM'
             ' set')
+    rows = np.unique(rows, axis=0)
+    codes, counts = np.unique(rows[:, 1], return_counts=True)
+    if counts.max() > 1:
+        code = codes[counts.argmax()]
+        subjects = ' and '.join(f'{subject:g}' for subject in rows[rows[:, 1] == code, 0])
+        raise UserError(
+            f'{path} gives bar code {code:g} to subjects {subjects}: correct it, or remove the'
+            ' rows, and observations of this code are left out')
     return {int(code): int(subject) for subject, code in rows}
+
+
+def _require_known_robots(folder: Path) -> None:
+    """Raise a `UserError` if there is a robot whose observations would be those of a landmark."""
+    known = {f'Robot{robot}_Odometry.dat' for robot in ROBOT_SUBJECTS}
+    others = sorted({path.name for path in folder.glob('Robot*_Odometry.dat')} - known)
+    if others:
+        raise UserError(
+            f'{folder} holds {others[0]}: the robots of a set are the subjects'
+            f' {ROBOT_SUBJECTS[0]} to {ROBOT_SUBJECTS[-1]}, all others are landmarks; give the'
+            ' robots these numbers, or write CSV tables for convert csv')
 
 
 def _landmarks(folder: Path, broken: Counter[str]) -> tuple[dict[int, Array], str]:
@@ -113,9 +145,34 @@ def _recorded(
         truth = _stamped(sparse_truth, counts)
     counts['stamp steps back (put in order)'] += int((np.diff(truth.stamps) < 0).sum())
     commands = _series(folder / f'Robot{robot}_Odometry.dat', 3, counts)
+    impossible: Flags = np.any(np.abs(commands.rows) > MAX_SPEEDS, axis=1)
+    commands = drop(commands, impossible, 'impossible command', counts)
     observations = _identified(
         _series(folder / f'Robot{robot}_Measurement.dat', 4, counts), robot, codes, counts)
+    commands, observations = _without_far_stamps(commands, observations, counts)
     return RobotLog(robot, commands, observations, truth.in_order(), counts)
+
+
+def _without_far_stamps(
+    commands: Series, observations: Series, counts: Counter[str]
+) -> tuple[Series, Series]:
+    """Return commands and observations without those of clocks not set and damaged stamps."""
+    if len(commands):
+        middle = np.sort(commands.stamps)[len(commands) // 2]
+        commands, observations = (
+            drop(series, np.abs(series.stamps - middle) > MAX_DISTANCE, FAR_STAMP, counts)
+            for series in (commands, observations))
+    return drop(commands, _strays(commands.stamps), FAR_STAMP, counts), observations
+
+
+def _strays(stamps: Stamps) -> Flags:
+    """Return which rows are far in time from those before and after, which go on."""
+    strays = np.zeros(len(stamps), dtype=bool)
+    jumps = np.flatnonzero(np.abs(np.diff(stamps)) > MAX_STEP) + 1
+    for begin, end in pairwise(jumps.tolist()):
+        returns = 0 <= stamps[end] - stamps[begin - 1] <= MAX_STEP
+        strays[begin:end] = returns and end - begin <= MAX_STRAYS
+    return strays
 
 
 def _logs(recorded: Sequence[RobotLog]) -> list[RobotLog]:
@@ -157,7 +214,8 @@ def _identified(
     kept = Series(observations.stamps, np.column_stack([subjects, measured]))
     kept = drop(kept, kept.rows[:, 0] < 0, 'unknown bar code', counts)
     kept = drop(kept, kept.rows[:, 0] == robot, 'observation of itself', counts)
-    impossible = (kept.rows[:, 1] <= 0.0) | (np.abs(kept.rows[:, 2]) > math.pi)
+    r, bearing = kept.rows[:, 1], kept.rows[:, 2]
+    impossible = (r <= 0.0) | (r > MAX_RANGE) | (np.abs(bearing) > math.pi)
     return drop(kept, impossible, 'impossible range or bearing', counts)
 
 

@@ -46,6 +46,8 @@ def test_bar_codes_are_looked_up_once(read_set):
     ((101.0, 7, -2.0, 0.1), 'impossible range or bearing'),
     ((101.0, 7, 0.0, 0.1), 'impossible range or bearing'),
     ((101.0, 7, 2.0, 7.0), 'impossible range or bearing'),
+    ((101.0, 7, 1e300, 0.1), 'impossible range or bearing'),
+    ((1e9, 7, 2.0, 0.1), 'stamp far from those of other rows'),
     ((101.0, 7, NAN, 0.1), 'broken row'),
     ((NAN, 7, 2.0, 0.1), 'broken row'),
     ((-5.0, 7, 2.0, 0.1), 'broken row'),
@@ -59,6 +61,39 @@ def test_impossible_observations_are_counted_and_dropped(read_set, row, reason):
 
     assert observed(log) == [(101.0, 8, 3.0, 0.5)]
     assert +log.counts == {reason: 1}
+
+
+@pytest.mark.parametrize('command', [(1e300, 0.0), (-51.0, 0.0), (0.1, 1e6), (0.1, -10.1)])
+def test_commands_that_no_robot_can_follow_are_counted_and_dropped(read_set, command):
+    rows = [(100.0, 0.1, 0.0), (100.1, *command), (100.2, 0.3, 0.0)]
+
+    log = read_set(Robot1_Odometry=rows).logs[1]
+
+    assert log.commands.rows.tolist() == [[0.1, 0.0], [0.3, 0.0]]
+    assert +log.counts == {'impossible command': 1}
+
+
+@pytest.mark.parametrize('row', [0, 150, 299])
+@pytest.mark.parametrize('stamp', [0.0, 1e9, 2e9])
+def test_a_damaged_stamp_costs_its_own_row_only(read_set, row, stamp):
+    rows = [(1.3e9 + 0.1 * k, 0.1, 0.0) for k in range(300)]
+    rows[row] = (stamp, 0.1, 0.0)
+    observations = [(1.3e9 + k, 7, 2.0, 0.1) for k in range(1, 29)]
+
+    log = read_set(Robot1_Odometry=rows, Robot1_Measurement=observations).logs[1]
+
+    assert (len(log.commands), len(log.observations)) == (299, 28)
+    assert +log.counts == {'stamp far from those of other rows': 1}
+
+
+def test_few_commands_an_hour_away_cost_their_own_rows_only(read_set):
+    shift = {150: 3600.0, 151: 3600.0, 200: -3600.0}
+    rows = [(1.3e9 + 0.1 * k + shift.get(k, 0.0), 0.1, 0.0) for k in range(300)]
+
+    log = read_set(Robot1_Odometry=rows, Robot1_Measurement=[]).logs[1]
+
+    assert len(log.commands) == 297
+    assert +log.counts == {'stamp far from those of other rows': 3}
 
 
 def test_the_first_of_two_observations_of_a_subject_in_one_scan_is_kept(read_set):
@@ -149,7 +184,8 @@ def test_landmarks_need_no_standard_deviations(read_set):
 
 
 @pytest.mark.parametrize('text', [
-    '\ufeff8 7', '8 7 # a comment', '8,7', '# codes\r\n\r\n8\t7\r\n', '8.0e0 7.0e0\n  \n'])
+    '\ufeff8 7', '8 7 # a comment', '8,7', '# codes\r\n\r\n8\t7\r\n', '8.0e0 7.0e0\n  \n',
+    '8 7\n8 7'])
 def test_rows_with_any_separator_comment_or_line_end_are_read(tmp_path, text):
     write_set(tmp_path, STRAIGHT)
     (tmp_path / 'Barcodes.dat').write_text(text, encoding='utf-8', newline='')
@@ -169,6 +205,9 @@ def test_a_robot_without_two_rows_of_odometry_is_excluded(read_set):
     ({'Robot1_Odometry': []}, 'holds no odometry of any robot: put Robot1_Odometry.dat'),
     ({'Robot1_Odometry': [('1248444187156', 0, 0)]}, r'with rows of time \[s\]'),
     ({'Barcodes': []}, 'Barcodes.dat is missing or has no bar codes'),
+    ({'Barcodes': [(8, 7), (9, 16), (9, 16), (17, 7)]},
+     'gives bar code 7 to subjects 8 and 17: correct'),
+    ({'Robot6_Odometry': [(100, 0, 0)]}, 'holds Robot6_Odometry.dat: .* the subjects 1 to 5'),
 ])
 def test_an_incomplete_folder_is_rejected_with_the_missing_files(read_set, files, reason):
     with pytest.raises(UserError, match=reason):
