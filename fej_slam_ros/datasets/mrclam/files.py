@@ -48,6 +48,10 @@ SPEED_MARGIN = 1.25
 TRUTH_NOISE = np.array([0.02, 0.02, 0.02])
 SLIP_MARGIN = NS // 4
 MAX_SLIP_TIME = 10 * NS
+#: Largest share of true poses near slips; where there are more, units or the robot are wrong, and
+#: what is left is right by chance.
+MAX_SLIPPED = 0.9
+UNUSABLE_TRUTH = 'truth that jumps nearly everywhere (is it of this robot, in metres and radians?)'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -254,7 +258,10 @@ def _without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Ser
     begins = np.sort(truth.stamps[before] - SLIP_MARGIN)
     ends = np.sort(truth.stamps[after] + SLIP_MARGIN)
     inside = np.searchsorted(begins, truth.stamps) - np.searchsorted(ends, truth.stamps, 'right')
-    return drop(truth, inside > 0, 'truth at a jump', counts)
+    slipped = inside > 0
+    if slipped.sum() > MAX_SLIPPED * len(truth):
+        return drop(truth, np.ones(len(truth), dtype=bool), UNUSABLE_TRUTH, counts)
+    return drop(truth, slipped, 'truth at a jump', counts)
 
 
 def _series(path: Path, columns: int, counts: Counter[str]) -> Series:

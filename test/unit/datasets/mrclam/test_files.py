@@ -152,6 +152,18 @@ def test_true_poses_between_a_jump_and_the_jump_back_are_dropped(read_set, rows)
     assert log.counts['truth at a jump'] == 200 - len(log.truth)
 
 
+def test_true_headings_in_degrees_are_not_used(read_set):
+    commands = [(100.0 + 0.1 * k, 0.1, 0.3 - 0.6 * (k // 50 % 2)) for k in range(300)]
+    turned = np.cumsum([0.1 * w for _, _, w in commands])
+    truth = [(100.0 + 0.1 * k, 0.0, 0.0, np.degrees(turned[k])) for k in range(300)]
+
+    log = read_set(Robot1_Odometry=commands, Robot1_Groundtruth=truth).logs[1]
+
+    (reason, count), = (+log.counts).items()
+    assert (len(log.commands), len(log.truth), count) == (300, 0, 300)
+    assert 'in metres and radians?' in reason
+
+
 def test_motion_capture_across_a_half_turn_does_not_jump(read_set):
     truth = [(100.0, 0, 0, 3.1415), (100.02, 0, 0, -3.1415)]
 
