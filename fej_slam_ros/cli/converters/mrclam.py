@@ -128,6 +128,10 @@ def _report(
         what = 'delays and scale' if any(len(log.truth) for log in data.logs.values()) else (
             'delays, scale and noise')
         yield f'too few true poses to measure {what}: they are those of set 6, or given by options'
+    elif (r := noise.turn_correlation(data, options)) < noise.MIN_TURN_CORRELATION:
+        yield (
+            f'true poses do not follow the commands, the correlation of turns is {r:.2f}: check'
+            ' robots and clock of the ground truth, or remove it; by it, noise is too large')
     # A start from true poses is never exact.
     if not any(settings.anchor_sigma):
         yield (

@@ -31,6 +31,9 @@ GROWTH_WINDOW = 5.0
 RATIO_SIGMA = 0.3
 #: Iterations of the reweighted least squares for the growth of errors, enough to converge.
 REWEIGHTINGS = 10
+#: Correlation of true turns with those of odometry below which ground truth is that of another
+#: robot or clock: it is 0.9 and more in real and simulated sets.
+MIN_TURN_CORRELATION = 0.5
 #: Odometry as the commands state.
 AS_COMMANDED = ConversionOptions(odometry_scale=(1.0, 1.0), slowdown=0.0)
 
@@ -38,6 +41,15 @@ AS_COMMANDED = ConversionOptions(odometry_scale=(1.0, 1.0), slowdown=0.0)
 def is_measurable(data: MrclamSet) -> bool:
     """Return whether the set has enough true poses of robots in motion."""
     return len(increments(data, ConversionOptions(), GROWTH_WINDOW).true) >= MIN_WINDOWS
+
+
+def turn_correlation(data: MrclamSet, options: ConversionOptions) -> float:
+    """Return the correlation of true turns with those of odometry; 1 if no robot turns."""
+    windows = increments(data, options, GROWTH_WINDOW)
+    true, measured = windows.true[:, 2], windows.measured[:, 2]
+    if not (np.ptp(true) and np.ptp(measured)):
+        return 1.0
+    return float(np.corrcoef(true, measured)[0, 1])
 
 
 def best_options(

@@ -77,6 +77,23 @@ def test_a_frame_other_than_that_of_the_truth_is_said(convert_mrclam, bag, first
     assert 'too few true poses to measure delay' in said
 
 
+@pytest.mark.parametrize(('late', 'said_so'), [(0.0, False), (7.0, True)])
+def test_ground_truth_of_another_clock_is_said(convert_mrclam, bag, late, said_so):
+    rng = np.random.default_rng(1)
+    times = np.arange(0.0, 120.0, 0.05)
+    turn_rates = np.repeat(rng.uniform(-0.5, 0.5, 60), 40)
+    turned = np.cumsum(0.05 * turn_rates) - 0.05 * turn_rates
+
+    status, said, _ = convert_mrclam(
+        '--output', bag,
+        Robot1_Odometry=[(100.0 + t, 0.0, w) for t, w in zip(times, turn_rates)],
+        Robot1_Groundtruth=[(100.0 + t + late, 0.0, 0.0, phi) for t, phi in zip(times, turned)])
+
+    assert status == 0
+    sentence = 'true poses do not follow the commands, the correlation of turns is'
+    assert (sentence in said) == said_so
+
+
 def test_a_converted_set_runs_with_its_parameters(convert_mrclam, bag):
     convert_mrclam(
         '--output', bag, '--motion-delay', 0, '--odometry-scale', 1, 1,
