@@ -91,7 +91,8 @@ def _not_joined(
             'set shared_landmark_ids: true if all robots use the same IDs')
         yield error(
             'never_joins', robot.name,
-            f'it never joins {MAP}: {reason} ({common or "it is the only robot"})',
+            (f'it leaves {MAP} and is outside at the end' if robot.name in trial.joined else
+             f'it never joins {MAP}') + f': {reason} ({common or "it is the only robot"})',
             f'{shared}, let robots observe each other ({robot.name}/robots), or give'
             f' {robot.name}.start_pose')
 

@@ -6,6 +6,7 @@ from collections import Counter
 from dataclasses import replace
 
 from fej_slam_ros.core.estimator import Estimator
+from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import PriorMap
 from fej_slam_ros.core.rejections import Rejection, RejectionReason as Reason
 from fej_slam_ros.core.settings import Settings
@@ -46,6 +47,8 @@ class Trial:
         self.first: dict[tuple[str, Reason], int] = {}
         #: Number of observations that failed the gate, by robot and landmark ID.
         self.gate_failures: Counter[tuple[str, int]] = Counter()
+        #: Robots that were in `map` at some time.
+        self.joined: set[str] = set()
         #: Error that ended the run early.
         self.failure: UserError | None = None
         # Topic of the latest message by robot and stamp.
@@ -78,8 +81,8 @@ class Trial:
     def _process(self, to_the_end: bool = False) -> None:
         if self.failure is None:
             try:
-                for _ in self.estimator.close() if to_the_end else self.estimator.take():
-                    pass
+                for step in self.estimator.close() if to_the_end else self.estimator.take():
+                    self.joined.update(pose.robot for pose in step.poses if pose.frame == MAP)
             except UserError as error:
                 self.failure = error
         self._count_rejections(None)

@@ -287,6 +287,17 @@ def test_a_fault_is_found_without_parameters(doctor, tmp_path, fault):
     assert has_finding(found, *expected)
 
 
+def test_a_robot_that_is_lost_at_the_end_is_not_said_to_have_never_joined(doctor, tmp_path):
+    fault = both(
+        each('r2/odom', moved(30.0), begin=-10), without('r2/landmarks', slice(-10, None)))
+    path = planted(tmp_path / 'lost', fault(entries(C)))
+
+    _, found, _ = doctor(path, '--params', BAGS / f'{C}.yaml')
+
+    (lost,) = [finding for finding in found if finding['name'] == 'never_joins']
+    assert lost['what'].startswith('it leaves map and is outside at the end: ')
+
+
 def test_landmark_ids_that_are_not_shared_are_recognised(doctor, tmp_path):
     params = write_parameters(tmp_path / 'params.yaml', robots=['p', 'q'])
 
