@@ -173,8 +173,8 @@ def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
                 yield parse(cells)
         except KeyError as column:
             raise UserError(
-                f'{path}: correct its first line, which lacks the column {column}:'
-                f' {",".join(reader.fieldnames or ())[:80]!r}') from None
+                f'{path}: correct its first line, which lacks the column {column}, separated by'
+                f' commas: {",".join(reader.fieldnames or ())[:80]!r}') from None
         except (ValueError, csv.Error, UserError) as error:
             raise UserError(f'{path}: correct line {reader.line_num}: {error}') from None
 

@@ -140,8 +140,8 @@ def _report(
     for robot in ROBOT_SUBJECTS:
         if robot not in data.logs:
             yield (
-                f'{robot_name(robot)} is left out: no two valid rows in'
-                f' Robot{robot}_Odometry.dat')
+                f'{robot_name(robot)} is left out: Robot{robot}_Odometry.dat is missing, or has no'
+                ' two valid rows')
             yield from _counted(data.incomplete[robot])
             continue
         log = data.logs[robot]

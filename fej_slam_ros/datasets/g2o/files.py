@@ -58,7 +58,7 @@ def read(path: Path, noise: str) -> tuple[Graph, Counter[str]]:
     try:
         for line in lines:
             reader.read(line)
-    except (ValueError, IndexError, np.linalg.LinAlgError, UserError) as error:
+    except (ValueError, IndexError, UserError) as error:
         raise UserError(
             f'{path}: line {reader.lines} is damaged ({error}): {line[:80].strip()!r}; correct or'
             ' remove it') from None
@@ -185,7 +185,11 @@ def _numbers(words: list[str], count: int) -> Array:
 
 
 def _inverse(matrix: Array) -> Array:
-    return np.linalg.inv(matrix).astype(float, copy=False)
+    """Return an inverse; raise ValueError if there is none."""
+    try:
+        return np.linalg.inv(matrix).astype(float, copy=False)
+    except np.linalg.LinAlgError:
+        raise ValueError('its information matrix is singular') from None
 
 
 def _checked(R: Array) -> Array:

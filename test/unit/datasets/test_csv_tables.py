@@ -181,8 +181,8 @@ def test_a_column_that_is_missing_is_named_with_the_first_line(tmp_path, head, r
         csv_tables.read(folder)
 
     assert str(rejected.value) == (
-        f'{folder / "landmarks.csv"}: correct its first line, which lacks the column {column!r}:'
-        f' {head!r}')
+        f'{folder / "landmarks.csv"}: correct its first line, which lacks the column {column!r},'
+        f' separated by commas: {head!r}')
 
 
 @pytest.mark.parametrize('row', ['b,1,a,1,2,.1,0,.2', 'a,1,b,1,2,.1,0,.2'])

@@ -47,7 +47,8 @@ def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mr
     assert '    unknown bar code: 1\n' in said
     assert '    broken row in Barcodes.dat: 1\n' in said
     assert (
-        'r3 is left out: no two valid rows in Robot3_Odometry.dat\n    broken row: 1\n'
+        'r3 is left out: Robot3_Odometry.dat is missing, or has no two valid rows\n'
+        '    broken row: 1\n'
         '    command: 1\n    observation: 1\nr4 is left out') in said
     assert said.endswith(f'wrote {bag} and {bag}.yaml\n')
 

@@ -123,6 +123,11 @@ def test_a_damaged_line_is_named_with_its_number(tmp_path, line):
         read(tmp_path, 'VERTEX_SE2 0 0 0 0', line)
 
 
+def test_information_that_has_no_inverse_is_called_singular(tmp_path):
+    with pytest.raises(UserError, match=r'line 1 .* \(its information matrix is singular\)'):
+        read(tmp_path, 'EDGE_SE2 0 1 1 0 0 0 0 0 0 0 1')
+
+
 def test_a_missing_file_is_one_sentence(tmp_path):
     with pytest.raises(UserError, match=r'cannot read .*graph\.g2o: No such file or directory'):
         files.read(tmp_path / 'graph.g2o', 'covariance')
