@@ -77,15 +77,12 @@ class JointMap:
             (local.robot,), local.problem, local.values, {local.robot: 0},
             {local.robot: local.values.poses[0]}, tuple((key,) for key in local.landmarks))
 
-    def solved(self, loss: CauchyLoss | None = None) -> 'JointMap':
-        """
-        Return the map at the minimum, starting at its values; errors of `least_squares`.
-
-        `loss` is the cost of landmark observations, None for squares.
-
-        """
+    def solved(
+        self, loss: CauchyLoss | None = None, tolerance: float = least_squares.TOLERANCE
+    ) -> 'JointMap':
+        """Return the map at the minimum, starting at its values; as of `least_squares.solve`."""
         problem = self.problem
-        solution = least_squares.solve(problem, self.values, loss=loss)
+        solution = least_squares.solve(problem, self.values, tolerance, loss=loss)
         rows = problem.odometry.z.size + problem.landmarks.z.size + problem.rendezvous.z.size
         return replace(
             self, values=solution.values, chi_square=solution.cost, dof=rows - solution.unknowns)

@@ -21,11 +21,15 @@ from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.factors import concatenated, LandmarkFactors, rows_of, Values
+from fej_slam_ros.core.smoothing.least_squares import TOLERANCE
 
 #: Largest fraction of outliers; with more, the stated noise is wrong and none is removed.
 MAX_OUTLIER_FRACTION = 0.25
 #: Cost by which outliers are found first: those beyond 95 % of correct observations count less.
 ROBUST_LOSS = CauchyLoss(chi_square_quantile(2, 0.95))
+#: Largest increment of a coordinate at its minimum [m, rad]: it shows outliers, but is no result,
+#: and reweighted squares converge slowly.
+ROBUST_TOLERANCE = 1e-4
 #: Rounds of removal; bounds the time.
 MAX_ROUNDS = 50
 
@@ -59,8 +63,8 @@ def without_outliers(own: JointMap, probability: float) -> tuple[JointMap, list[
     if complete is not None and not _worst(complete, limit):
         return complete, []
     # Outliers worsen the fit of correct observations, most of all where they prevent a minimum.
-    robust = _minimum(own, ROBUST_LOSS) or _minimum(
-        replace(own, values=_by_odometry(own)), ROBUST_LOSS)
+    robust = _minimum(own, ROBUST_LOSS, ROBUST_TOLERANCE) or _minimum(
+        replace(own, values=_by_odometry(own)), ROBUST_LOSS, ROBUST_TOLERANCE)
     kept, outliers = (complete or own, []) if robust is None else _without(
         robust, _beyond(robust, limit), limit)
     for _ in range(MAX_ROUNDS):
@@ -104,10 +108,12 @@ def without_landmarks(
         landmarks=tuple(compress(joint.landmarks, is_kept))).solved(), outliers
 
 
-def _minimum(own: JointMap, loss: CauchyLoss | None = None) -> JointMap | None:
+def _minimum(
+    own: JointMap, loss: CauchyLoss | None = None, tolerance: float = TOLERANCE
+) -> JointMap | None:
     """Return a map at the minimum of a cost, None if it is not reached."""
     try:
-        return own.solved(loss)
+        return own.solved(loss, tolerance)
     except ConvergenceError:
         return None
 

@@ -76,28 +76,34 @@ def contradicting_landmarks(
     The result is empty if they are too many, or if the others do not fit.
 
     """
+    farthest, aligned = _aligned_without_farthest(p, q, rules.min_shared)
+    if isinstance(aligned, JoinFailure) or rules.inconsistency(aligned.chi_square, aligned.dof):
+        return {}
+    index_p, index_q = p.landmark_index(), q.landmark_index()
+    d2 = {}
+    C = rotation(aligned.base_node[2])
+    for key in farthest:
+        moved = transform(aligned.base_node, q.values.points[index_q[key]])
+        J = models.F(moved - aligned.base_node[:2])
+        P_p, P_q = (
+            joint_map.information().joint(points=[index[key]])
+            for joint_map, index in ((p, index_p), (q, index_q)))
+        r = p.values.points[index_p[key]] - moved
+        d2[key] = float(r @ np.linalg.solve(P_p + C @ P_q @ C.T + J @ aligned.P @ J.T, r))
+    return {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
+
+
+def _aligned_without_farthest(
+    p: JointMap, q: JointMap, min_shared: int
+) -> tuple[list[LandmarkKey], LandmarkAlignment | JoinFailure]:
+    """Return the shared landmarks that fit the others least, and the alignment by the others."""
     index_p, index_q = p.landmark_index(), q.landmark_index()
     shared = sorted(index_p.keys() & index_q.keys())
     points_p, points_q = (
         joint_map.values.points[[index[key] for key in shared]]
         for joint_map, index in ((p, index_p), (q, index_q)))
-    candidates = {shared[k]: k for k in farthest_points(points_p, points_q)}
-    if not candidates:
-        return {}
-    aligned = align_by_landmarks(p, q, rules.min_shared, candidates)
-    if isinstance(aligned, JoinFailure) or rules.inconsistency(aligned.chi_square, aligned.dof):
-        return {}
-    d2 = {}
-    C = rotation(aligned.base_node[2])
-    for key, k in candidates.items():
-        moved = transform(aligned.base_node, points_q[k])
-        J = models.F(moved - aligned.base_node[:2])
-        P_p, P_q = (
-            joint_map.information().joint(points=[index[key]])
-            for joint_map, index in ((p, index_p), (q, index_q)))
-        r = points_p[k] - moved
-        d2[key] = float(r @ np.linalg.solve(P_p + C @ P_q @ C.T + J @ aligned.P @ J.T, r))
-    return {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
+    farthest = [shared[k] for k in farthest_points(points_p, points_q)]
+    return farthest, align_by_landmarks(p, q, min_shared, farthest)
 
 
 def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
@@ -106,14 +112,14 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
 
     Persistent errors, such as the bias of a sensor, make maps of several robots contradict each
     other more than their covariances state. The result is the median over robots of the median
-    over the pairs of each, at least 1: a single wrong map does not change it. With less than three
-    pairs it is 1.
+    over the pairs of each, at least 1: a single wrong map does not change it, nor do a few
+    landmarks that were moved. With less than three pairs it is 1.
 
     """
     if len(maps) < MIN_MAP_PAIRS:
         return 1.0
     aligned = (
-        (pair, align_by_landmarks(maps[pair[0]], maps[pair[1]], min_shared))
+        (pair, _consistent_alignment(maps[pair[0]], maps[pair[1]], min_shared))
         for pair in _pairs(len(maps)))
     found = [*islice(
         ((pair, alignment) for pair, alignment in aligned
@@ -126,6 +132,16 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
             factors[k].append(alignment.chi_square / alignment.dof)
     # With three robots, a wrong map is in two of three pairs, but only its own robot has no other.
     return max(1.0, median_low(map(median_low, factors.values())))
+
+
+def _consistent_alignment(
+    p: JointMap, q: JointMap, min_shared: int
+) -> LandmarkAlignment | JoinFailure:
+    """Return the alignment of two maps by the landmarks that do not contradict the others."""
+    _, others = _aligned_without_farthest(p, q, min_shared)
+    factor = 1.0 if isinstance(others, JoinFailure) else max(1.0, others.chi_square / others.dof)
+    rules = JoinRules(min_shared, variance_factor=factor)
+    return align_by_landmarks(p, q, min_shared, contradicting_landmarks(p, q, rules))
 
 
 def _pairs(count: int) -> Iterator[tuple[int, int]]:

@@ -10,7 +10,7 @@ import pytest
 
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import without_outliers
-from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.geometry import between, compose, transform
 from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
 from fej_slam_ros.core.smoothing.least_squares import solve
 from fej_slam_ros.core.smoothing.problem import Problem
@@ -76,9 +76,12 @@ def test_understated_noise_keeps_all_observations():
     assert len(kept.problem.landmarks.z) == len(factors.z)
 
 
-def misread_map(seed):
-    """Return a long run with one landmark in sight at a time, and the rows of misread IDs."""
-    rng = np.random.default_rng(seed)
+def long_run(rng, moved=0):
+    """
+    Return a problem with one landmark in sight at a time, its poses by odometry, and the IDs.
+
+    Halfway, the first landmarks are moved.
+    """
     points, true, x = rng.uniform(-6.0, 6.0, (15, 2)), [np.zeros(3)], [np.zeros(3)]
     sigma = np.array([0.02, 0.02, 0.02])
     increments = []
@@ -91,18 +94,28 @@ def misread_map(seed):
         x.append(compose(x[-1], increments[-1]))
     seen, z = rng.integers(0, 15, 600), []
     for k, landmark in enumerate(seen, 1):
+        if k == 300:
+            points[:moved] += [1.2, -0.9]
         z.append(between(true[k], np.append(points[landmark], 0.0))[:2])
     z += rng.normal(0.0, 0.1, (600, 2))
+    return Problem(
+        OdometryFactors(np.arange(600), np.arange(1, 601), np.array(increments),
+                        np.diag(sigma ** 2)),
+        LandmarkFactors(np.arange(1, 601), seen, np.array(z), 0.01 * np.eye(2))), np.array(x)
+
+
+def misread_map(seed):
+    """Return a long run, and the rows of misread IDs."""
+    rng = np.random.default_rng(seed)
+    problem, x = long_run(rng)
+    seen = problem.landmarks.target
     misread = np.sort(rng.choice(np.arange(15, 600), 18, replace=False))
     labels = seen.copy()
     labels[misread] = (seen[misread] + rng.integers(1, 15, 18)) % 15
-    problem = Problem(
-        OdometryFactors(np.arange(600), np.arange(1, 601), np.array(increments),
-                        np.diag(sigma ** 2)),
-        LandmarkFactors(np.arange(1, 601), labels, np.array(z), 0.01 * np.eye(2)))
+    problem = replace(problem, landmarks=replace(problem.landmarks, target=labels))
     # What misread IDs have made of the map so far.
     values = Values(
-        np.array(x) + np.vstack([np.zeros(3), rng.normal(0.0, 2.0, (600, 3))]),
+        x + np.vstack([np.zeros(3), rng.normal(0.0, 2.0, (600, 3))]),
         rng.uniform(-6.0, 6.0, (15, 2)))
     keys = tuple(('', k) for k in range(15))
     return LocalMap('r1', problem, values, keys), set((misread + 1).tolist())
@@ -118,3 +131,26 @@ def test_misread_ids_are_found_where_squares_have_no_minimum(seed):
     # Two landmarks may be at one place, or one of an outlier and a correct observation be alone.
     assert len(found & misread) >= len(misread) - 2
     assert len(found - misread) <= 1
+
+
+# In a fifth of such runs the robust cost leads to another minimum; in the last of these, reweighted
+# squares need more than a hundred steps to a micrometre.
+@pytest.mark.parametrize('seed', [1, 2, 34])
+def test_of_moved_landmarks_one_place_is_kept(seed):
+    problem, x = long_run(np.random.default_rng(seed), moved=3)
+    observed = problem.landmarks
+    first = [int(np.flatnonzero(observed.target == k)[0]) for k in range(15)]
+    points = np.array([transform(x[observed.pose[m]], observed.z[m]) for m in first])
+    local = LocalMap('r1', problem, Values(x, points), tuple(('', k) for k in range(15)))
+
+    _, outliers = without_outliers(JointMap.unsolved(local), 0.999)
+
+    removed = {outlier.pose - 1 for outlier in outliers}
+    for landmark in range(15):
+        rows = np.flatnonzero(observed.target == landmark)
+        halves = [{*rows[rows < 299].tolist()}, {*rows[rows >= 299].tolist()}]
+        kept = [len(half - removed) for half in halves]
+        if landmark < 3:
+            assert min(kept) == 0 < max(kept)
+        else:
+            assert kept == [*map(len, halves)]

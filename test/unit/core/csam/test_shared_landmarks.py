@@ -100,6 +100,22 @@ def test_a_single_wrong_map_does_not_change_the_factor():
     assert variance_factor(of_team, 3) < 3.0 * expected
 
 
+def test_a_landmark_that_some_robots_saw_elsewhere_does_not_change_the_factor():
+    changes = []
+    for seed in range(10):
+        _, of_team = maps(seed, robots=4)
+        expected = variance_factor(of_team, 3)
+        for k in (0, 1):
+            index = of_team[k].landmark_index()
+            points = of_team[k].values.points.copy()
+            points[index[min(index)]] += [3.0, 0.0]
+            of_team[k] = replace(of_team[k], values=replace(of_team[k].values, points=points))
+        changes.append(variance_factor(of_team, 3) / expected)
+
+    # Four of six pairs have one contradicting landmark of six, left out with two of nine degrees.
+    assert np.mean(changes) < 1.3
+
+
 def test_two_robots_cannot_distinguish_noise_from_a_wrong_map():
     _, of_team = maps(6, robots=2)
 
