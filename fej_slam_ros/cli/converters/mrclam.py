@@ -107,7 +107,9 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
         data, delay, scale and tuple(scale), arguments.camera_delay, arguments.thin)
     sigmas = options.noise
     if arguments.range_sigma is not None:
-        sigmas = replace(sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma)
+        sigmas = replace(
+            sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma,
+            range_constant=0.0, robot_range_constant=0.0)
     if arguments.bearing_sigma is not None:
         sigmas = replace(
             sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)

@@ -7,8 +7,9 @@ from dataclasses import replace
 import math
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import minimize_scalar, nnls
 
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, OFFSET_SIGMA
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import (
@@ -20,6 +21,11 @@ MIN_SIGMA = 1e-3
 OFFSET_WINDOW = 60.0
 #: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
 RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
+#: Iterations of the reweighted least squares for the noise of ranges, enough to converge.
+REWEIGHTINGS = 10
+#: Gain of the log-likelihood by a constant part of that noise from which there is one: of three
+#: standard deviations, 4.5, for errors that persist over ten observations.
+MIN_GAIN = 45.0
 #: Upper bound of the delay of a camera, and its standard deviation where no robot turns [s].
 MAX_CAMERA_DELAY, CAMERA_DELAY_SIGMA = 0.2, 0.05
 
@@ -108,8 +114,21 @@ def without_systematic_errors(
     return replace(errors, bearings=bearings, ranges=ranges)
 
 
-def sigmas(errors: ObservationErrors) -> tuple[float, float]:
-    """Return standard deviations of ranges, per metre, and of bearings, without outliers."""
+def sigmas(errors: ObservationErrors) -> tuple[float, float, float]:
+    """Return standard deviations without outliers: of ranges, constant and per metre, bearings."""
     inliers = errors.inliers()
-    relative = inliers.ranges / inliers.true_ranges
-    return max(rms(relative), MIN_SIGMA), max(rms(inliers.bearings), MIN_SIGMA)
+    constant, per_metre = _range_sigmas(inliers.ranges, inliers.true_ranges)
+    return constant, max(per_metre, MIN_SIGMA), max(rms(inliers.bearings), MIN_SIGMA)
+
+
+def _range_sigmas(errors: Array, r: Array) -> tuple[float, float]:
+    """Return c [m] and p of the variance c^2 + p^2 r^2 of the errors (n,) of ranges r (n,) [m]."""
+    relative = rms(errors / r)
+    squares, proportional = np.square(errors), relative ** 2 * np.square(r) + MIN_SIGMA ** 2
+    A, variances = np.column_stack([np.ones(len(r)), np.square(r)]), proportional
+    for _ in range(REWEIGHTINGS):
+        (c2, p2), _ = nnls(A / variances[:, None], squares / variances)
+        variances = c2 + p2 * np.square(r) + MIN_SIGMA ** 2
+    gain = 0.5 * float(np.sum(
+        np.log(proportional / variances) + squares / proportional - squares / variances))
+    return (math.sqrt(c2), math.sqrt(p2)) if gain > MIN_GAIN else (0.0, relative)

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 import heapq
 from itertools import groupby, repeat
+import math
 
 import numpy as np
 
@@ -56,6 +57,17 @@ class Noise:
     #: The same to robots.
     robot_range: float = 0.042
     robot_bearing: float = 0.0111
+    #: Standard deviations of a range to a landmark and to a robot that do not grow with it [m].
+    range_constant: float = 0.0
+    robot_range_constant: float = 0.0
+
+    def of_landmark(self, r: float) -> tuple[float, float]:
+        """Return the standard deviations [m, rad] of a landmark's range r [m] and bearing."""
+        return math.hypot(self.range_constant, self.range * r), self.bearing
+
+    def of_robot(self, r: float) -> tuple[float, float]:
+        """Return the standard deviations [m, rad] of a robot's range r [m] and bearing."""
+        return math.hypot(self.robot_range_constant, self.robot_range * r), self.robot_bearing
 
 
 @dataclass(frozen=True)
@@ -88,7 +100,9 @@ class ConversionOptions:
         factor, noise = self.correlation_factor, self.noise
         return replace(
             noise, range=factor * noise.range, bearing=factor * noise.bearing,
-            robot_range=factor * noise.robot_range, robot_bearing=factor * noise.robot_bearing)
+            robot_range=factor * noise.robot_range, robot_bearing=factor * noise.robot_bearing,
+            range_constant=factor * noise.range_constant,
+            robot_range_constant=factor * noise.robot_range_constant)
 
 
 def bearing_offset(robot: int, options: ConversionOptions) -> tuple[float, float]:
@@ -244,10 +258,10 @@ def _scans(robot: int, observed: Series, noise: Noise) -> Iterator[Scan | RobotS
         landmarks, robots = [], []
         for _, (subject, r, beta) in rows:
             if subject in ROBOT_SUBJECTS:
-                z, R = polar(r, beta, noise.robot_range * r, noise.robot_bearing)
+                z, R = polar(r, beta, *noise.of_robot(r))
                 robots.append(RobotObservation(robot_name(int(subject)), z, R))
             else:
-                z, R = polar(r, beta, noise.range * r, noise.bearing)
+                z, R = polar(r, beta, *noise.of_landmark(r))
                 landmarks.append(Observation(int(subject), z, R))
         if landmarks:
             yield Scan(robot_name(robot), stamp, tuple(landmarks))

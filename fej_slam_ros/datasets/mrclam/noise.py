@@ -130,11 +130,12 @@ def _with_observation_noise(
     robots = without_systematic_errors(robots, of_bearings, of_ranges)
     noise = options.noise
     if len(landmarks.inliers().ranges) >= MIN_OBSERVATIONS:
-        r, beta = sigmas(landmarks)
-        noise = replace(noise, range=r, bearing=beta)
+        constant, r, beta = sigmas(landmarks)
+        noise = replace(noise, range=r, bearing=beta, range_constant=constant)
     if len(robots.inliers().ranges) >= MIN_OBSERVATIONS:
-        r, beta = sigmas(robots)
-        noise = replace(noise, robot_range=r, robot_bearing=beta)
+        constant, r, beta = sigmas(robots)
+        noise = replace(
+            noise, robot_range=r, robot_bearing=beta, robot_range_constant=constant)
     return replace(options, noise=noise, bearing_offsets=of_bearings, range_errors=of_ranges)
 
 

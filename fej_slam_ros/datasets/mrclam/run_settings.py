@@ -180,9 +180,10 @@ def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettin
     r = float(ranges.mean()) if len(ranges) else TYPICAL_RANGE
     duration = (log.commands.stamps[-1] - log.commands.stamps[0]) / NS
     variances = increment_variances(log, options).sum(axis=0) / duration
+    of_range, of_bearing = noise.of_landmark(r)
     return RobotSettings(
         robot_name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
-        landmark_sigma=(round(noise.range * r, 6), round(noise.bearing * r, 6)))
+        landmark_sigma=(round(of_range, 6), round(of_bearing * r, 6)))
 
 
 def _triple(values: Array) -> Triple:

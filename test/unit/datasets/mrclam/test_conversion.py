@@ -111,15 +111,18 @@ def test_noise_along_the_ray_grows_with_range_and_across_it_with_the_bearing(con
 
 def test_the_correlation_factor_multiplies_the_standard_deviations_of_all_observations(convert):
     rows = [(101, 7, 4.0, math.pi / 2), (101, 14, 2.0, 0.0)]
-    noise = Noise(range=0.05, bearing=0.02, robot_range=0.04, robot_bearing=0.01)
+    noise = Noise(
+        range=0.05, bearing=0.02, robot_range=0.04, robot_bearing=0.01, range_constant=0.15,
+        robot_range_constant=0.06)
 
     doubled = convert(
         replace(EXACT, noise=noise, correlation_factor=2.0), Robot1_Measurement=rows,
         Robot2_Odometry=STRAIGHT['Robot1_Odometry'])
 
     (scan,), (robots,) = (of_kind(kind, doubled) for kind in (Scan, RobotScan))
-    np.testing.assert_allclose(scan.observations[0].R, [[0.16**2, 0], [0, 0.4**2]], atol=1e-15)
-    np.testing.assert_allclose(robots.observations[0].R, [[0.16**2, 0], [0, 0.04**2]], atol=1e-15)
+    # Twice 0.25 m, of 0.15 m and 0.05 of 4 m, and twice 0.1 m, of 0.06 m and 0.04 of 2 m.
+    np.testing.assert_allclose(scan.observations[0].R, [[0.16**2, 0], [0, 0.5**2]], atol=1e-15)
+    np.testing.assert_allclose(robots.observations[0].R, [[0.2**2, 0], [0, 0.04**2]], atol=1e-15)
 
 
 def test_thinning_counts_from_the_observation_that_was_kept(convert):
