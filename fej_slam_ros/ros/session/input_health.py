@@ -194,7 +194,7 @@ class InputHealth:
 
         Parameters
         ----------
-            pose : (3,) array [m, m, rad]
+        pose : (3,) array [m, m, rad]
         velocity : forward and turn rates [m/s, rad/s]
         Q : (3, 3) covariance of the velocities, None if unknown
 
