@@ -72,7 +72,13 @@ class FrameGroup:
 
 
 class FrameGroups:
-    """The frame groups of a team, each with its filter and robots."""
+    """
+    The frame groups of a team, each with its filter and robots.
+
+    Policies that linearise at the true values find them in `truth`; the landmarks of `prior` are
+    known in ``map`` beforehand.
+
+    """
 
     def __init__(
         self, settings: Settings, truth: RecordedTruth, prior: PriorMap | None = None
