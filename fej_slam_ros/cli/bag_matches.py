@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Landmarks of the observations without ID in a bag, for what needs to know them."""
+"""Landmarks of the observations without ID in a bag, for commands that need IDs."""
 
 from contextlib import suppress
 from pathlib import Path

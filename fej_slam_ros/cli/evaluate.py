@@ -116,9 +116,10 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
     contents: dict[Path, bytes] = {}
     for name, matched in evaluation.matched.items():
         contents |= _robot_contents(output, name, matched, evaluation.nees.get(name))
-    if arguments.plots:
-        contents |= _pictures(output, evaluation)
     refuse_existing(contents, arguments.force)
+    if arguments.plots:
+        refuse_existing([output / name for name in FIGURES], arguments.force)
+        contents |= _pictures(output, evaluation)
     with postponed():
         write_all(contents | {output / 'evaluation.json': json_bytes(report)})
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))

@@ -29,7 +29,8 @@ def draw_run(
     """
     Draw the map and the trajectories of some robots in it, with the truth if there is any.
 
-    `draw_world` draws what is behind all.
+    True poses (k, 3) are given by robot, true landmarks are (2,) arrays. `draw_world` draws the
+    background.
     """
     from matplotlib.figure import Figure
 

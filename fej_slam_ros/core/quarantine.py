@@ -148,8 +148,9 @@ class Quarantine:
 def _why_turned(group: FrameGroup, robot: str, min_landmarks: int) -> str:
     """Return why a robot restarts for its uncertain heading, '' if it does not."""
     variance = group.robots[robot].turn_variance
-    if variance <= group.filter.linearization.max_turn_sigma ** 2 or not (
-            len(group.robots) > 1 and _count_with_ids(group.state) >= min_landmarks):
+    is_uncertain = variance > group.filter.linearization.max_turn_sigma ** 2
+    if not is_uncertain or len(group.robots) == 1 or (
+            _count_with_ids(group.state) < min_landmarks):
         return ''
     return (
         f'its heading has become uncertain by {math.sqrt(variance):.2f} rad since it was last'

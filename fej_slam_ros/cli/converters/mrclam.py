@@ -71,7 +71,8 @@ def add_arguments(parser: ArgumentParser) -> None:
         help="give all robots' initial poses from the ground truth, not only the anchor's")
     parser.add_argument(
         '--range-sigma', metavar='RATIO', type=number_option('--range-sigma', 1e-6),
-        help='standard deviation of ranges per metre of range (default: as measured, or'
+        help='standard deviation of ranges per metre of range, without a constant part (default:'
+        ' as measured, or'
         f' {default.noise.range:g} and, of robots, {default.noise.robot_range:g})')
     parser.add_argument(
         '--bearing-sigma', metavar='RAD', type=number_option('--bearing-sigma', 1e-6),

@@ -92,7 +92,12 @@ def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:
 def observation_pairs(
     odometry: Sequence[Odometry], scans: Sequence[Scan], apart: int
 ) -> 'ObservationPairs':
-    """Return each observation with the latest one of the same landmark up to a time [ns] later."""
+    """
+    Return observations with those of the same landmarks in the latest scan up to a time later.
+
+    That time is `apart` [ns]. There are about `MAX_OBSERVATION_PAIRS` pairs at most.
+
+    """
     known, poses = trajectory(odometry)
     margin = round(MAX_STAMP_ERROR * NS)
     inside = [*_identified([

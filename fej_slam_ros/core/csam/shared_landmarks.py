@@ -77,7 +77,8 @@ def contradicting_landmarks(
 
     """
     farthest, aligned = _aligned_without_farthest(p, q, rules.min_shared)
-    if isinstance(aligned, JoinFailure) or rules.inconsistency(aligned.chi_square, aligned.dof):
+    if not farthest or isinstance(aligned, JoinFailure) or (
+            rules.inconsistency(aligned.chi_square, aligned.dof)):
         return {}
     index_p, index_q = p.landmark_index(), q.landmark_index()
     d2 = {}

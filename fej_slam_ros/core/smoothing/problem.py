@@ -29,7 +29,7 @@ class Problem:
     rendezvous: RendezvousFactors = NO_RENDEZVOUS
     #: indices of the poses that keep their initial values, one for each group of connected robots
     fixed_poses: Sequence[int] = (0,)
-    #: what `system` has returned, by the numbers of variables
+    #: results of `system`, by the numbers of variables
     _systems: 'dict[tuple[int, int], System]' = field(
         default_factory=dict, init=False, repr=False)
 
@@ -52,7 +52,7 @@ class Problem:
         return self._systems[sizes]
 
     def forget_systems(self) -> None:
-        """Free the memory of what `system` has found, some kB for each measurement."""
+        """Free the memory of the results of `system`, some kB for each measurement."""
         self._systems.clear()
 
 

@@ -49,7 +49,7 @@ TRUTH_NOISE = np.array([0.02, 0.02, 0.02])
 SLIP_MARGIN = NS // 4
 MAX_SLIP_TIME = 10 * NS
 #: Largest share of true poses near slips; where there are more, units or the robot are wrong, and
-#: what is left is right by chance.
+#: the rest of them fits by chance.
 MAX_SLIPPED = 0.9
 UNUSABLE_TRUTH = 'truth that jumps nearly everywhere (is it of this robot, in metres and radians?)'
 
@@ -170,12 +170,13 @@ def _without_far_stamps(
 
 
 def _strays(stamps: Stamps) -> Flags:
-    """Return which rows are far in time from those before and after, which go on."""
+    """Return which rows are far in time from the rows before and after, which go on."""
     strays = np.zeros(len(stamps), dtype=bool)
     jumps = np.flatnonzero(np.abs(np.diff(stamps)) > MAX_STEP) + 1
     for begin, end in pairwise(jumps.tolist()):
         returns = 0 <= stamps[end] - stamps[begin - 1] <= MAX_STEP
-        strays[begin:end] = returns and end - begin <= MAX_STRAYS
+        # Rows between two groups with the same damage return to it, too.
+        strays[begin:end] = returns and end - begin <= MAX_STRAYS and not strays[begin - 1]
     return strays
 
 

@@ -34,6 +34,8 @@ REWEIGHTINGS = 10
 #: Correlation of true turns with those of odometry below which ground truth is that of another
 #: robot or clock: it is 0.9 and more in real and simulated sets.
 MIN_TURN_CORRELATION = 0.5
+#: Smallest standard deviation [rad] of true turns within a window that determines it.
+MIN_TURN_SPREAD = 0.2
 #: Odometry as the commands state.
 AS_COMMANDED = ConversionOptions(odometry_scale=(1.0, 1.0), slowdown=0.0)
 
@@ -44,12 +46,12 @@ def is_measurable(data: MrclamSet) -> bool:
 
 
 def turn_correlation(data: MrclamSet, options: ConversionOptions) -> float:
-    """Return the correlation of true turns with those of odometry; 1 if no robot turns."""
+    """Return the correlation of all true turns with those of odometry; 1 if robots hardly turn."""
     windows = increments(data, options, GROWTH_WINDOW)
     true, measured = windows.true[:, 2], windows.measured[:, 2]
-    if not (np.ptp(true) and np.ptp(measured)):
+    if true.std() < MIN_TURN_SPREAD:
         return 1.0
-    return float(np.corrcoef(true, measured)[0, 1])
+    return float(np.corrcoef(true, measured)[0, 1]) if measured.std() else 0.0
 
 
 def best_options(
