@@ -12,8 +12,8 @@ from fej_slam_ros.core.geometry import between, wrap_all
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
 from fej_slam_ros.core.smoothing.least_squares import information
-from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
+from fej_slam_ros.core.smoothing.problem import Problem
 
 #: Size of the whole log of Victoria Park, which has 6.6 observations per pose.
 LOG_POSES, LOG_LANDMARKS, LOG_OBSERVATIONS = 6899, 299, 7

@@ -61,8 +61,8 @@ from fej_slam_ros.core.records import (
     TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 from fej_slam_ros.core.team_joiner import TeamJoiner
 

@@ -14,8 +14,8 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.geometry import compose, transform
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.factors import Values
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from helpers.core import SmallTeam, turn, wrapped
 from helpers.records import team
 

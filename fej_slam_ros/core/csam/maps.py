@@ -22,8 +22,8 @@ from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.factors import concatenated, shifted, Values
-from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.core.smoothing.marginals import Information
+from fej_slam_ros.core.smoothing.problem import Problem
 
 #: Smallest variance between poses, relative to their own variances in the map, that is computed as
 #: a difference: seven digits are right then.

@@ -14,8 +14,8 @@ from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, inverse, rigid_fit, transform, transform_poses
 from fej_slam_ros.core.records import LandmarkKey, Motion, Observation, UNKNOWN_POSE_COVARIANCE
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.factors import Values
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 
 #: Number of landmarks that a lost robot must observe again to be found, and the largest ratio of
 #: their residuals after a rigid fit to their extent.

@@ -22,9 +22,9 @@ from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.factors import (
     concatenated, LandmarkFactors, OdometryFactors, Row, stacked, Values)
 from fej_slam_ros.core.smoothing.least_squares import Solution, TOLERANCE
-from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
+from fej_slam_ros.core.smoothing.problem import Problem
 
 #: Value of `solve_every` with which the smoother never solves by itself.
 NEVER = sys.maxsize

@@ -22,8 +22,8 @@ from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.factors import (
     Factors, LandmarkFactors, OdometryFactors, RendezvousFactors, Row, stacked, Values)
 from fej_slam_ros.core.smoothing.least_squares import chi_square
-from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
+from fej_slam_ros.core.smoothing.problem import Problem
 
 
 class Edge(NamedTuple):

@@ -14,8 +14,8 @@ from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.factors import rows_of
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from helpers.core import central_differences, turn, wrapped
 from helpers.csam import in_another_frame, joined_maps, Met, true_base_node
 

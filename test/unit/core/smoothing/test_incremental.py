@@ -15,8 +15,8 @@ from fej_slam_ros.core.geometry import between, compose, inverse, transform
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import incremental as module
 from fej_slam_ros.core.smoothing import newest_pose
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother, NEVER
 from fej_slam_ros.core.smoothing.factors import OdometryFactors, Values
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother, NEVER
 from fej_slam_ros.core.smoothing.least_squares import information, Solution, solve
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 from fej_slam_ros.datasets.victoria_park import associated_log as park

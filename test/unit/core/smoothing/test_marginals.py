@@ -11,8 +11,8 @@ from scipy.sparse.linalg import splu
 
 from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.records import Observation
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.factors import Values
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.least_squares import information, solve
 from fej_slam_ros.core.smoothing.problem import Problem
 from helpers.smoothing import (

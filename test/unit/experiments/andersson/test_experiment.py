@@ -12,8 +12,8 @@ import pytest
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.geometry import between, wrap
 from fej_slam_ros.core.records import fingerprint, Odometry, RobotScan, Scan
-from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
+from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.experiments.andersson import experiment
 from fej_slam_ros.experiments.andersson.experiment import Scene, scene
