@@ -76,7 +76,14 @@ def contradicting_landmarks(
     The result is empty if they are too many, or if the others do not fit.
 
     """
-    farthest, aligned = _aligned_without_farthest(p, q, rules.min_shared)
+    return _contradicting(p, q, *_aligned_without_farthest(p, q, rules.min_shared), rules)
+
+
+def _contradicting(
+    p: JointMap, q: JointMap, farthest: Sequence[LandmarkKey],
+    aligned: LandmarkAlignment | JoinFailure, rules: JoinRules,
+) -> dict[LandmarkKey, float]:
+    """Return `contradicting_landmarks` among the farthest ones, given the alignment by others."""
     if not farthest or isinstance(aligned, JoinFailure) or (
             rules.inconsistency(aligned.chi_square, aligned.dof)):
         return {}
@@ -139,10 +146,13 @@ def _consistent_alignment(
     p: JointMap, q: JointMap, min_shared: int
 ) -> LandmarkAlignment | JoinFailure:
     """Return the alignment of two maps by the landmarks that do not contradict the others."""
-    _, others = _aligned_without_farthest(p, q, min_shared)
+    farthest, others = _aligned_without_farthest(p, q, min_shared)
+    if not farthest:
+        return others
     factor = 1.0 if isinstance(others, JoinFailure) else max(1.0, others.chi_square / others.dof)
     rules = JoinRules(min_shared, variance_factor=factor)
-    return align_by_landmarks(p, q, min_shared, contradicting_landmarks(p, q, rules))
+    return align_by_landmarks(
+        p, q, min_shared, _contradicting(p, q, farthest, others, rules))
 
 
 def _pairs(count: int) -> Iterator[tuple[int, int]]:

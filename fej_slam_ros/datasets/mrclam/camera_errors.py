@@ -21,7 +21,7 @@ MIN_SIGMA = 1e-3
 OFFSET_WINDOW = 60.0
 #: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
 RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
-#: Iterations of the reweighted least squares for the noise of ranges, enough to converge.
+#: Iterations of the reweighted least squares for variances, enough to converge.
 REWEIGHTINGS = 10
 #: Gain of the log-likelihood by a constant part of that noise from which there is one: of three
 #: standard deviations, 4.5, for errors that persist over ten observations.

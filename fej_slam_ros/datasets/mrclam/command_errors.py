@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
+from fej_slam_ros.core.geometry import Array, poses_at, Stamps, wrap_all
 from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import (
@@ -21,7 +21,7 @@ from fej_slam_ros.datasets.mrclam.conversion import (
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
 from fej_slam_ros.datasets.mrclam.observation_errors import rms, true_poses
 from fej_slam_ros.datasets.mrclam.run_settings import TRUTH_SIGMA
-from fej_slam_ros.datasets.mrclam.series import Series, Stamps
+from fej_slam_ros.datasets.mrclam.series import Series
 
 #: Windows [s] over which increments are compared for the delay, and between true poses for the
 #: speeds.

@@ -16,14 +16,14 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, Flags
+from fej_slam_ros.core.geometry import Array, between, compose, Flags, Stamps
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.datasets.file_checks import LAST_SECOND
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
-from fej_slam_ros.datasets.mrclam.series import Series, Stamps
+from fej_slam_ros.datasets.mrclam.series import Series
 
 #: Variance per second of an increment (x, y, phi) of a robot at rest [m^2/s, m^2/s, rad^2/s].
 STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])

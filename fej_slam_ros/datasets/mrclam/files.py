@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, Indices, Stamps, wrap_all
 from fej_slam_ros.core.ordering.backward_stamps import breaks
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
@@ -24,7 +24,7 @@ from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP
 from fej_slam_ros.datasets.mrclam.clocks import in_order
-from fej_slam_ros.datasets.mrclam.series import drop, Series, Stamps
+from fej_slam_ros.datasets.mrclam.series import drop, Series
 from fej_slam_ros.errors import UserError
 
 #: Subjects that are robots; all others are landmarks.

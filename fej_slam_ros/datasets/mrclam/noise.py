@@ -13,7 +13,7 @@ from fej_slam_ros.core.calibration.from_truth import (
 from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.camera_errors import (
-    bearing_offsets, range_errors, sigmas, without_systematic_errors)
+    bearing_offsets, range_errors, REWEIGHTINGS, sigmas, without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, records, robot_name, STANDSTILL_VARIANCE)
@@ -29,8 +29,6 @@ GROWTH_WINDOW = 5.0
 #: Standard deviation of the growth of errors per metre and per radian, relative to that of set 6
 #: times a common factor.
 RATIO_SIGMA = 0.3
-#: Iterations of the reweighted least squares for the growth of errors, enough to converge.
-REWEIGHTINGS = 10
 #: Correlation of true turns with those of odometry below which ground truth is that of another
 #: robot or clock: it is 0.9 and more in real and simulated sets.
 MIN_TURN_CORRELATION = 0.5

@@ -14,12 +14,12 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, Flags, interpolated_all, poses_at, wrap_all)
+    Array, between, compose, Flags, interpolated_all, poses_at, Stamps, wrap_all)
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, odometry
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
-from fej_slam_ros.datasets.mrclam.series import Series, Stamps
+from fej_slam_ros.datasets.mrclam.series import Series
 
 #: Ground truth is interpolated over gaps up to this [ns].
 MAX_TRUTH_GAP = NS // 10

@@ -7,11 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from fej_slam_ros.core.geometry import Array, Flags, Indices
-
-Stamps = NDArray[np.int64]
+from fej_slam_ros.core.geometry import Array, Flags, Indices, Stamps
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,6 +9,7 @@ from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.ros.session.inputs import Inputs
@@ -168,5 +169,4 @@ def _shared(state: JointState, other: JointState) -> str:
     points = len(state.rendezvous_points.keys() & other.rendezvous_points.keys())
     counts = [(landmarks, 'shared landmark'), (points, 'robot-to-robot observation')]
     return ' and '.join(
-        f'{count} {what}{"" if count == 1 else "s"}' for count, what in counts if count
-    ) or 'landmarks without ID'
+        counted(count, what) for count, what in counts if count) or 'landmarks without ID'
