@@ -75,15 +75,19 @@ def polar(r: float, beta: float, sigma_r: float, sigma_beta: float) -> tuple[Arr
     """
     Return the Cartesian observation of a range and a bearing.
 
+    R is the mean squared error of z, also where the bearing is so coarse that the position is on
+    an arc. Its approximation to first order, eq. (14) of [Andersson], is too small along the line
+    of sight there.
+
     Parameters
     ----------
-    r, beta : range [m] and bearing [rad, to the left], eq. (11)
-    sigma_r, sigma_beta : their standard deviations [m, rad]
+    r, beta : range [m] and bearing [rad, to the left], eq. (11) of [Andersson]
+    sigma_r, sigma_beta : the standard deviations of their normal errors [m, rad]
 
     Returns
     -------
     z : (2,) array, observed position in the frame of the robot [m], eq. (12)
-    R : (2, 2) array, covariance of z, eq. (14) with the second rotation transposed
+    R : (2, 2) array, covariance of z
 
     Raises
     ------
@@ -92,9 +96,20 @@ def polar(r: float, beta: float, sigma_r: float, sigma_beta: float) -> tuple[Arr
 
     """
     _require_positive({'range r': r, 'sigma_r': sigma_r, 'sigma_beta': sigma_beta})
-    C = rotation(beta)
-    root = C * [sigma_r, r * sigma_beta]
-    return r * C[:, 0], root @ root.T
+    z = r * rotation(beta)[:, 0]
+    mean, P = polar_moments(r, beta, sigma_r, sigma_beta)
+    return z, P + np.outer(mean - z, mean - z)
+
+
+def polar_moments(
+    r: float, beta: float, sigma_r: float, sigma_beta: float
+) -> tuple[Array, Array]:
+    """Return mean (2,) and covariance (2, 2) of r [cos(beta), sin(beta)], r and beta normal."""
+    C, a = rotation(beta), sigma_beta * sigma_beta
+    along = math.hypot(r * math.expm1(-a), sigma_r * math.sqrt(1.0 + math.exp(-2.0 * a)))
+    across = math.hypot(r, sigma_r) * math.sqrt(-math.expm1(-2.0 * a))
+    root = C * [along * math.sqrt(0.5), across * math.sqrt(0.5)]
+    return math.exp(-0.5 * a) * r * C[:, 0], root @ root.T
 
 
 def _slope(theta: float, s: float) -> float:

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, rotation
-from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import Observation, Record, RobotObservation, RobotScan, Scan
 from fej_slam_ros.sim.driving import odometry
 from fej_slam_ros.sim.rendezvous_world import RendezvousSettings, RendezvousWorld
@@ -83,11 +82,14 @@ def observe(
     """
     Yield index, z and R of each of the points (n, 2) that is observed from a pose.
 
-    A point whose noisy range is not positive is not observed.
+    R is to first order, eq. (14) with the second rotation transposed. A point whose noisy range is
+    not positive is not observed.
     """
     z_true = (points - pose[:2]) @ rotation(pose[2])
     for i in in_view(z_true, scanner.range, scanner.field_of_view).tolist():
         true = np.hypot(*z_true[i]), np.arctan2(*z_true[i, ::-1])
         r, beta = rng.normal(true, scanner.polar_sigma)
         if r > 0.0:
-            yield i, *polar(r, beta, *scanner.polar_sigma)
+            C = rotation(beta)
+            root = C * [scanner.polar_sigma[0], r * scanner.polar_sigma[1]]
+            yield i, r * C[:, 0], root @ root.T

@@ -53,6 +53,7 @@ NOT_RUN = {
     'colcon test-result': 'as colcon build',
     '. install/setup.bash': 'as colcon build',
     'pip install': 'needs a network; the extras are checked',
+    'apt install': 'needs a network',
     'rosdep install': 'not on PyPI; test_package_xml.py checks the names of the dependencies',
     'make': 'the target is checked; they are the gate itself, the demo and `reproduce all`',
     'python3 publisher.py': 'runs in a test of its own below',

@@ -3,8 +3,8 @@
 """
 Errors of an MRCLAM set's observations against its motion capture, and their statistics.
 
-Observations with errors above 0.75 m or 0.1 rad are outliers, which are excluded from the
-statistics.
+Observations with errors above 0.75 m or 0.1 rad, or five standard deviations if that is more, are
+outliers, which are excluded from the statistics.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,8 +26,14 @@ MAX_TRUTH_GAP = NS // 10
 #: Time [ns] from a sparse true pose within which odometry leads to observations: its error is
 #: small against that of a bearing.
 NEAR_TRUTH = NS // 4
-#: Range [m] and bearing errors [rad] above which an observation is an outlier.
-OUTLIER_RANGE, OUTLIER_BEARING = 0.75, 0.1
+#: Range [m] and bearing errors [rad], and standard deviations, above all of which an observation
+#: is an outlier.
+OUTLIER_RANGE, OUTLIER_BEARING, OUTLIER_SIGMAS = 0.75, 0.1, 5.0
+#: Standard deviation of normal errors over the median of their sizes.
+SIGMA_PER_MEDIAN = 1.4826
+#: Standard deviations of ranges, over their median, and of bearings [rad] from which on the ground
+#: truth is wrong, and not the observations noisy.
+MAX_RELATIVE_SIGMA, MAX_BEARING_SIGMA = 0.5, 1.0
 #: Lags [s] between which errors of one robot and one subject are correlated.
 LAGS = ((0.0, 0.3), (0.3, 1.0), (1.0, 2.0), (2.0, 4.0), (4.0, 8.0), (8.0, 15.0))
 
@@ -55,7 +61,12 @@ class ObservationErrors:
 
     def outliers(self) -> Flags:
         """Return which observations are outliers."""
-        return (np.abs(self.ranges) > OUTLIER_RANGE) | (np.abs(self.bearings) > OUTLIER_BEARING)
+        if not len(self.ranges):
+            return np.zeros(0, dtype=bool)
+        max_range_sigma = MAX_RELATIVE_SIGMA * float(np.median(self.true_ranges))
+        return (
+            _exceeds(self.ranges, OUTLIER_RANGE, max_range_sigma)
+            | _exceeds(self.bearings, OUTLIER_BEARING, MAX_BEARING_SIGMA))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,6 +197,13 @@ def _correlations(errors: ObservationErrors, values: Array) -> dict[tuple[float,
     return {
         lags: float(samples.mean()) / variance if len(samples) else math.nan
         for lags, samples in pairs.items()}
+
+
+def _exceeds(errors: Array, limit: float, max_sigma: float) -> Flags:
+    """Return which errors are outliers; with a larger sigma, errors are wrong and no noise."""
+    sizes = np.abs(errors)
+    sigma = SIGMA_PER_MEDIAN * float(np.median(sizes))
+    return sizes > (max(limit, OUTLIER_SIGMAS * sigma) if sigma < max_sigma else limit)
 
 
 def rms(values: Array) -> float:

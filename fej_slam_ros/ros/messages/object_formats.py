@@ -19,6 +19,7 @@ from rosbags.typesys.stores.ros2_jazzy import (
     visualization_msgs__msg__MarkerArray as MarkerArray)
 
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.motion_models import polar_moments
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.detection.objects import DetectedObject
@@ -240,15 +241,26 @@ def _polar(observed: Message, sigma: tuple[float, float, float]) -> SensedObject
     name = '' if observed.id == NO_ID else str(observed.id)
     if fault is not None:
         return SensedObject(name, ORIGIN, UPRIGHT, fault=fault)
-    c, s, C, S = math.cos(yaw), math.sin(yaw), math.cos(pitch), math.sin(pitch)
-    J = np.array([
-        [c * C, -distance * s * C, -distance * c * S],
-        [s * C, distance * c * C, -distance * s * S],
-        [-S, 0.0, -distance * C]])
-    x, y, z = (distance * J[:, 0]).tolist()
+    x = distance * math.cos(pitch) * math.cos(yaw)
+    y = distance * math.cos(pitch) * math.sin(yaw)
+    z = -distance * math.sin(pitch)
+    mean, P = _spherical_moments(distance, yaw, pitch, sigma)
+    bias = mean - np.array([x, y, z])
     # Turned by the yaw about z, after 90 degrees and the pitch about y: z is the line of sight.
     cz, sz = math.cos(yaw / 2.0), math.sin(yaw / 2.0)
     cy, sy = math.cos(math.pi / 4.0 + pitch / 2.0), math.sin(math.pi / 4.0 + pitch / 2.0)
     return SensedObject(
         name, Point(x=x, y=y, z=z), Quaternion(x=-sz * sy, y=cz * sy, z=sz * cy, w=cz * cy),
-        J @ np.diag(np.square(sigma)) @ J.T if any(sigma) else None)
+        P + np.outer(bias, bias) if any(sigma) else None)
+
+
+def _spherical_moments(
+    r: float, yaw: float, pitch: float, sigma: tuple[float, float, float]
+) -> tuple[Array, Array]:
+    """Return mean (3,) and covariance (3, 3) of a point from range, yaw and pitch [m, rad]."""
+    sigma_r, sigma_yaw, sigma_pitch = sigma
+    (horizontal, z), C = polar_moments(r, -pitch, sigma_r, sigma_pitch)
+    xy, P = polar_moments(horizontal, yaw, math.sqrt(C[0, 0]), sigma_yaw)
+    direction, _ = polar_moments(1.0, yaw, 0.0, sigma_yaw)
+    P_xy_z = (C[0, 1] * direction)[:, None]
+    return np.append(xy, z), np.block([[P, P_xy_z], [P_xy_z.T, C[1, 1]]])

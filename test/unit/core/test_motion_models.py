@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from fej_slam_ros.core.motion_models import constant_turn, polar
 from fej_slam_ros.errors import UserError
-from helpers.core import central_differences, turn
+from helpers.core import central_differences, moments, turn
 
 SIGMA = np.array([0.05, 0.02, 0.03])
 #: Left, right, almost straight, straight, nearly a full turn, both sides of the series limit.
@@ -86,15 +86,16 @@ def test_a_full_turn_within_one_sample_is_rejected(omega):
 
 
 @pytest.mark.parametrize('beta', [0.0, 0.7, -2.0, 3.1])
-def test_a_polar_observation_has_the_position_and_noise_of_range_and_bearing(beta):
-    r, sigma = 3.0, np.array([0.01, 0.012])
+@pytest.mark.parametrize('sigma', [(0.01, 0.012), (0.03, 0.15), (0.5, 0.6), (1e-3, 1e-6)])
+def test_the_covariance_of_a_polar_observation_is_its_mean_squared_error(beta, sigma):
+    def position(r, b):
+        return np.array([r * np.cos(b), r * np.sin(b)])
 
-    z, R = polar(r, beta, *sigma)
+    z, R = polar(3.0, beta, *sigma)
 
-    G = central_differences(
-        lambda p: np.array([p[0] * np.cos(p[1]), p[0] * np.sin(p[1])]), np.array([r, beta]))
-    assert_allclose(z, [r * np.cos(beta), r * np.sin(beta)], atol=1e-15)
-    assert_allclose(R, G @ np.diag(sigma**2) @ G.T, rtol=1e-8, atol=1e-14)
+    mean, P = moments(position, (3.0, beta), sigma)
+    assert_allclose(z, position(3.0, beta), atol=1e-15)
+    assert_allclose(R, P + np.outer(mean - z, mean - z), rtol=1e-9, atol=1e-15)
 
 
 @pytest.mark.parametrize(('values', 'name'), [

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_equal
 import pytest
 
+from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import (
     NO_ID, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks)
 from fej_slam_ros.datasets import csv_tables
@@ -116,11 +117,12 @@ def test_polar_observations_become_cartesian(tmp_path):
     records = csv_tables.read(write(
         tmp_path, odometry=ODOMETRY,
         landmarks='robot,stamp_ns,id,range,bearing,sigma_range,sigma_bearing\n'
-        f'a,5,1,2,{np.pi / 2},0.1,0.25\n'))
+        'a,5,1,2,0.7,0.1,0.25\n'))
 
     observation, = records[1].observations
-    assert_allclose(observation.z, [0.0, 2.0], atol=1e-15)
-    assert_allclose(observation.R, np.diag([0.25, 0.01]), atol=1e-15)
+    z, R = polar(r=2.0, beta=0.7, sigma_r=0.1, sigma_beta=0.25)
+    assert_allclose(observation.z, z, rtol=1e-15)
+    assert_allclose(observation.R, R, rtol=1e-15)
 
 
 def test_records_are_in_the_order_of_stamps_with_true_landmarks_first(tmp_path):

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.datasets.g2o import files
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
 from fej_slam_ros.errors import UserError
@@ -46,9 +47,7 @@ def test_every_kind_of_relative_pose_has_the_same_covariance(tmp_path, line, noi
 @pytest.mark.parametrize(('line', 'noise'), [
     ('EDGE_SE2_XY 3 7 2 0 25 0 4', 'covariance'),
     ('LANDMARK 3 7 2 0 0.04 0 0.25', 'covariance'), ('LANDMARK 3 7 2 0 25 0 4', 'information'),
-    ('LANDMARK 3 7 2 0 5 0 2', 'square_root'),
-    # At 2 m straight ahead, 0.25 rad are 0.5 m to the left.
-    ('BR 3 7 0 2 0.25 0.2', 'covariance')])
+    ('LANDMARK 3 7 2 0 5 0 2', 'square_root')])
 def test_every_kind_of_observation_is_cartesian_with_the_same_covariance(tmp_path, line, noise):
     graph, _ = read(tmp_path, line, noise=noise)
 
@@ -56,6 +55,16 @@ def test_every_kind_of_observation_is_cartesian_with_the_same_covariance(tmp_pat
     assert (edge.begin, edge.end) == (3, 7)
     assert_allclose(edge.z, [2.0, 0.0], atol=1e-12)
     assert_allclose(edge.R, np.diag([0.04, 0.25]), atol=1e-12)
+
+
+def test_a_bearing_and_a_range_are_a_polar_observation(tmp_path):
+    graph, _ = read(tmp_path, 'BR 3 7 0.7 2 0.25 0.2')
+
+    edge, = graph.observations
+    z, R = polar(r=2.0, beta=0.7, sigma_r=0.2, sigma_beta=0.25)
+    assert (edge.begin, edge.end) == (3, 7)
+    assert_allclose(edge.z, z, rtol=1e-15)
+    assert_allclose(edge.R, R, rtol=1e-15)
 
 
 def test_the_noise_of_a_relative_pose_is_in_the_frame_at_its_end(tmp_path):

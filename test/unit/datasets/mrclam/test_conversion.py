@@ -9,6 +9,7 @@ import math
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.datasets.mrclam.conversion import Noise, records
 from fej_slam_ros.datasets.mrclam.files import read
@@ -104,9 +105,9 @@ def test_noise_along_the_ray_grows_with_range_and_across_it_with_the_bearing(con
 
     (scan,) = of_kind(Scan, convert(exact, Robot1_Measurement=[(101, 7, 4.0, math.pi / 2)]))
 
-    # Four metres to the left: x is across the ray.
-    np.testing.assert_allclose(scan.observations[0].z, [0, 4], atol=1e-15)
-    np.testing.assert_allclose(scan.observations[0].R, [[0.08**2, 0], [0, 0.2**2]], atol=1e-15)
+    z, R = polar(4.0, math.pi / 2, sigma_r=0.2, sigma_beta=0.02)
+    np.testing.assert_allclose(scan.observations[0].z, z, atol=1e-15)
+    np.testing.assert_allclose(scan.observations[0].R, R, atol=1e-15)
 
 
 def test_the_correlation_factor_multiplies_the_standard_deviations_of_all_observations(convert):
@@ -121,8 +122,10 @@ def test_the_correlation_factor_multiplies_the_standard_deviations_of_all_observ
 
     (scan,), (robots,) = (of_kind(kind, doubled) for kind in (Scan, RobotScan))
     # Twice 0.25 m, of 0.15 m and 0.05 of 4 m, and twice 0.1 m, of 0.06 m and 0.04 of 2 m.
-    np.testing.assert_allclose(scan.observations[0].R, [[0.16**2, 0], [0, 0.5**2]], atol=1e-15)
-    np.testing.assert_allclose(robots.observations[0].R, [[0.2**2, 0], [0, 0.04**2]], atol=1e-15)
+    _, R_landmark = polar(4.0, math.pi / 2, 0.5, 0.04)
+    _, R_robot = polar(2.0, 0.0, 0.2, 0.02)
+    np.testing.assert_allclose(scan.observations[0].R, R_landmark, atol=1e-15)
+    np.testing.assert_allclose(robots.observations[0].R, R_robot, atol=1e-15)
 
 
 def test_thinning_counts_from_the_observation_that_was_kept(convert):

@@ -35,7 +35,8 @@ def synthetic(tmp_path_factory):
 
 def synthetic_set(
         folder, own_turns=(0.0, 0.0), truth_seconds=0.0, turn_rate=0.5, held=1, speed=0.1,
-        heading=(0.0, HEADING), seconds=SECONDS, seed=1, tau=0.0, slowdown=0.0):
+        heading=(0.0, HEADING), seconds=SECONDS, seed=1, tau=0.0, slowdown=0.0,
+        sigmas=(RANGE, BEARING)):
     """Write and read a set whose robot also turns by itself, with few true poses on request."""
     rng = np.random.default_rng(seed)
     stamps = 100.0 + np.arange(RATE * seconds) / RATE
@@ -53,7 +54,7 @@ def synthetic_set(
     return read(write_set(folder, {
         'Robot1_Odometry': [(t, *command) for t, command in zip(stamps, commands)],
         'Robot1_Groundtruth': truth,
-        'Robot1_Measurement': list(observations(stamps + DELAY, poses, rng, tau))}))
+        'Robot1_Measurement': list(observations(stamps + DELAY, poses, rng, tau, sigmas))}))
 
 
 def correlation(seconds, tau):
@@ -61,14 +62,14 @@ def correlation(seconds, tau):
     return math.exp(-seconds / tau) if tau else 0.0
 
 
-def observations(stamps, poses, rng, tau):
+def observations(stamps, poses, rng, tau, sigmas):
     """Yield observations of landmarks 8, 17 and 18 twice a second; every 100th is an outlier."""
     codes = {8: 7, 17: 16, 18: 9}
     rho, errors = correlation(1.5, tau), {}
     for k in range(50, len(stamps), RATE // 2):
         subject, *point = LANDMARKS[k % 3][:3]
         dx, dy = np.subtract(point, poses[k, :2])
-        new = rng.normal(0.0, (RANGE, BEARING))
+        new = rng.normal(0.0, sigmas)
         e = errors[subject] = rho * errors.get(subject, new) + math.sqrt(1.0 - rho ** 2) * new
         r = math.hypot(dx, dy) * (1 + e[0])
         beta = math.atan2(dy, dx) - poses[k, 2] + e[1]
@@ -169,6 +170,14 @@ def test_observation_noise_is_estimated_without_outliers(synthetic):
     assert measured.bearing_rms == pytest.approx(BEARING, rel=0.1)
     assert measured.outliers >= 17
     assert measured.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize('sigmas', [(0.2, 0.02), (0.02, 0.4)])
+def test_the_noise_of_coarse_sensors_is_measured_without_outliers(tmp_path, sigmas):
+    noise = best_options(synthetic_set(tmp_path, sigmas=sigmas, speed=0.5)).noise
+
+    # 1,800 observations determine a sigma to 2 %; five sigma keep nearly all of them.
+    assert (noise.range, noise.bearing) == pytest.approx(sigmas, rel=0.1)
 
 
 def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
