@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 import socket
 from tempfile import TemporaryDirectory
+import time
 from unittest import mock
 
 import rclpy
@@ -30,6 +31,8 @@ from helpers.ros import write_parameters
 DIAGNOSTICS = 'diagnostic_msgs/msg/DiagnosticArray'
 POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 
+#: Time without a response after which a service is called again [s].
+REPEAT_CALL = 20.0
 #: How long to wait for a message before looking again at what a test waits for [s].
 PAUSE = 0.05
 
@@ -183,12 +186,24 @@ class Domain:
         return self.ask(service, Trigger).success
 
     def ask(self, service, service_type, **fields):
-        """Call a service and return its response."""
+        """
+        Call a service and return its response.
+
+        It is called again if its response was lost, since the client was not discovered yet.
+
+        """
         client = self.node.create_client(service_type, service)
         self.until(client.service_is_ready)
-        future = client.call_async(service_type.Request(**fields))
-        self.until(future.done)
-        return future.result()
+        futures = []
+
+        def is_answered():
+            if time.monotonic() > first + REPEAT_CALL * len(futures):
+                futures.append(client.call_async(service_type.Request(**fields)))
+            return any(future.done() for future in futures)
+
+        first = time.monotonic()
+        self.until(is_answered)
+        return next(future.result() for future in futures if future.done())
 
     def _init(self, ros_args):
         rclpy.init(args=ros_args, signal_handler_options=SignalHandlerOptions.NO)
