@@ -7,13 +7,14 @@ from dataclasses import replace
 import math
 
 import numpy as np
-from scipy.optimize import minimize_scalar, nnls
+from scipy.optimize import minimize_scalar
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, OFFSET_SIGMA
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import (
     observation_errors, ObservationErrors, rms)
+from fej_slam_ros.datasets.mrclam.variances import variance_coefficients
 
 #: Lower bound of estimated sigmas, the resolution of the files: ranges in mm, bearings in mrad.
 MIN_SIGMA = 1e-3
@@ -21,8 +22,6 @@ MIN_SIGMA = 1e-3
 OFFSET_WINDOW = 60.0
 #: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
 RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
-#: Iterations of the reweighted least squares for variances, enough to converge.
-REWEIGHTINGS = 10
 #: Gain of the log-likelihood by a constant part of that noise from which there is one: of three
 #: standard deviations, 4.5, for errors that persist over ten observations.
 MIN_GAIN = 45.0
@@ -123,12 +122,10 @@ def sigmas(errors: ObservationErrors) -> tuple[float, float, float]:
 
 def _range_sigmas(errors: Array, r: Array) -> tuple[float, float]:
     """Return c [m] and p of the variance c^2 + p^2 r^2 of the errors (n,) of ranges r (n,) [m]."""
+    A, least = np.column_stack([np.ones(len(r)), np.square(r)]), MIN_SIGMA ** 2
+    c2, p2 = variance_coefficients(errors, A, least, np.ones(2))
     relative = rms(errors / r)
-    squares, proportional = np.square(errors), relative ** 2 * np.square(r) + MIN_SIGMA ** 2
-    A, variances = np.column_stack([np.ones(len(r)), np.square(r)]), proportional
-    for _ in range(REWEIGHTINGS):
-        (c2, p2), _ = nnls(A / variances[:, None], squares / variances)
-        variances = c2 + p2 * np.square(r) + MIN_SIGMA ** 2
-    gain = 0.5 * float(np.sum(
-        np.log(proportional / variances) + squares / proportional - squares / variances))
+    proportional, variances = relative ** 2 * A[:, 1] + least, A @ [c2, p2] + least
+    gain = 0.5 * float(np.sum(np.log(proportional / variances) + np.square(errors) * (
+        1.0 / proportional - 1.0 / variances)))
     return (math.sqrt(c2), math.sqrt(p2)) if gain > MIN_GAIN else (0.0, relative)

@@ -13,13 +13,14 @@ from fej_slam_ros.core.calibration.from_truth import (
 from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.camera_errors import (
-    bearing_offsets, range_errors, REWEIGHTINGS, sigmas, without_systematic_errors)
+    bearing_offsets, range_errors, sigmas, without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, records, robot_name, STANDSTILL_VARIANCE)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import errors_near_truth, ObservationErrors
 from fej_slam_ros.datasets.mrclam.run_settings import settings
+from fej_slam_ros.datasets.mrclam.variances import variance_coefficients
 
 #: Minimum number of windows for the growth of errors, and of observations of a kind, for an
 #: estimate.
@@ -184,17 +185,8 @@ def _growth(
     Few windows do not separate driving from turning, so the ratio is drawn to that of `usual`.
 
     """
-    squares = np.square(windows.errors()[:, axis])
-    constant = GROWTH_WINDOW * STANDSTILL_VARIANCE[axis]
-    variances = np.full(len(squares), squares.mean() + constant)
-    (factor,), _ = nnls((windows.commanded @ usual)[:, None], squares - constant)
-    expected = factor * np.array(usual)
-    # A squared error has sqrt(2) times its mean as standard deviation.
-    weight = np.sqrt(2.0) / RATIO_SIGMA
-    for _ in range(REWEIGHTINGS):
-        A, b = windows.commanded / variances[:, None], (squares - constant) / variances
-        ratios, _ = nnls(
-            np.vstack([A * expected, weight * np.eye(2)]), np.append(b, [weight, weight]))
-        c = expected * ratios
-        variances = windows.commanded @ c + constant
-    return float(c[0]), float(c[1])
+    errors, constant = windows.errors()[:, axis], GROWTH_WINDOW * STANDSTILL_VARIANCE[axis]
+    (factor,), _ = nnls((windows.commanded @ usual)[:, None], np.square(errors) - constant)
+    driving, turning = variance_coefficients(
+        errors, windows.commanded, constant, factor * np.array(usual), RATIO_SIGMA)
+    return float(driving), float(turning)
