@@ -18,6 +18,9 @@ from fej_slam_ros.core.smoothing.inverse_blocks import InverseBlocks
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
 from fej_slam_ros.core.smoothing.odometry_chains import ReducedChains
 
+#: In place of a row: the coordinate of a fixed pose, and that of a pose within a chain.
+FIXED, ELIMINATED = -1, -2
+
 
 class Information:
     """
@@ -42,7 +45,8 @@ class Information:
         self.matrix, self.coordinates = matrix, coordinates
         self._poses, self._points, self._chains = poses, points, chains
         self._factor = Cholesky(matrix)
-        self._rows = np.full(3 * poses + 2 * points, -1)
+        self._rows = np.full(3 * poses + 2 * points, FIXED)
+        self._rows[_coordinates(chains.chains.eliminated, 3)] = ELIMINATED
         self._rows[coordinates] = np.arange(len(coordinates))
 
     def square_root(self) -> tuple[csc_array, Indices]:
@@ -65,13 +69,13 @@ class Information:
         may be within a chain.
 
         """
-        if np.isin(poses, self._chains.chains.eliminated).any():
-            raise ValueError('a pose was eliminated: keep it in the information')
         wanted = np.concatenate([
             _coordinates(np.array(poses, np.intp), 3),
             3 * self._poses + _coordinates(np.array(points, np.intp), 2)])
         rows = self._rows[wanted]
-        free = np.flatnonzero(rows >= 0)
+        if (rows == ELIMINATED).any():
+            raise ValueError('a pose was eliminated: keep it in the information')
+        free = np.flatnonzero(rows != FIXED)
         P = np.zeros((len(wanted), len(wanted)))
         P[free[:, None], free] = self._factor.inverse_at(rows[free])
         return P
