@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
 from fej_slam_ros.core.data_association.wrong_landmarks import (
-    MOVED_LANDMARKS, remove_contradicted, update_trust)
+    MOVED_LANDMARKS, note_accepted, remove_contradicted, update_trust)
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
@@ -302,6 +302,7 @@ class Estimator(TeamInput):
         """Record the statistics, moved landmarks and rejected observations of an update."""
         scan_statistics = innovation.scan_gate_statistics()
         self.innovations.add(stamp, innovation, scan_statistics)
+        note_accepted(innovation, scan_statistics)
         for started in (
             *update_trust(group.state, innovation, scan_statistics, stamp),
             *remove_contradicted(group.state, innovation, scan_statistics),

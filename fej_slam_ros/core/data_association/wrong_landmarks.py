@@ -21,6 +21,21 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 MIN_OTHERS = 2
 
 
+def note_accepted(innovation: Innovation, statistics: StatisticsByRobot) -> None:
+    """
+    Note on each landmark that an update has used an observation of it, under every policy.
+
+    One by a robot that is not suspected ends the evidence that the landmark was moved.
+
+    """
+    suspected = suspected_robots(statistics)
+    for a in innovation.used:
+        if isinstance(a.observed, Landmark):
+            a.observed.is_reobserved = True
+            if a.observer.name not in suspected:
+                a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
+
+
 def update_trust(
     state: JointState, innovation: Innovation, statistics: StatisticsByRobot, stamp: int
 ) -> list[Rejection]:
@@ -34,10 +49,8 @@ def update_trust(
     """
     confirmed = {name for name, scan in statistics.items() if scan.confirms_pose()}
     for a in innovation.used:
-        if isinstance(a.observed, Landmark):
-            a.observed.is_reobserved = True
-            if a.observer.name in confirmed:
-                a.observed.is_trusted = True
+        if isinstance(a.observed, Landmark) and a.observer.name in confirmed:
+            a.observed.is_trusted = True
     suspected = suspected_robots(statistics)
     started = [
         landmark for landmark in state.landmarks.values()
@@ -83,13 +96,10 @@ def ignore_moved(state: JointState, innovation: Innovation, statistics: Statisti
 
 
 def report_moved(state: JointState, innovation: Innovation, statistics: StatisticsByRobot) -> None:
-    """Collect evidence for each landmark until one of its observations passes the gate."""
-    suspected = suspected_robots(statistics)
-    for a in innovation.used:
-        if a.observer.name not in suspected and isinstance(a.observed, Landmark):
-            a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
+    """Collect evidence for each landmark that fails the gate among others that pass."""
     if not innovation.rejected:
         return
+    suspected = suspected_robots(statistics)
     passed = _landmark_pairs(a for a in innovation.used if a.observer.name not in suspected)
     rejected = _landmark_pairs(gated.association for gated in innovation.rejected)
     contradicting = _landmark_pairs(

@@ -14,10 +14,14 @@ from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
 from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import NS, Observation, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import RobotSettings, Settings
 from helpers.core import estimate
 from helpers.moved_landmarks import drive, SECOND_LOOP, SHIFT, with_moved
+
+TEAM = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1')
 
 
 def place(records, number):
@@ -111,6 +115,21 @@ def test_a_landmark_moved_back_is_no_longer_reported():
 
     assert rejected(estimator, RejectionReason.MOVED_LANDMARK)[1] == {5}
     assert estimator.groups.moved_landmarks() == []
+
+
+def test_a_landmark_moved_after_ignore_was_switched_off_is_reported():
+    estimator, is_switched = Estimator(replace(TEAM, moved_landmarks='ignore')), False
+
+    # Landmark 11 is older than those around it, so that only its latest observation shows that
+    # they were right when it still was.
+    for record in with_moved(drive(2), 11, SECOND_LOOP):
+        if not is_switched and record.stamp >= SECOND_LOOP:
+            estimator.change_team(TEAM.robots, TEAM)
+            is_switched = True
+        estimator.add(record)
+        list(estimator.take())
+
+    assert estimator.groups.moved_landmarks() == [('', 11)]
 
 
 def is_doubted(others, d2=50.0):
