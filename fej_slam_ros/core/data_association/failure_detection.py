@@ -3,7 +3,7 @@
 """Detection of lost robots: most of their scans fail the gate, or fit several places."""
 
 from collections.abc import Container
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from fej_slam_ros.core.ekf.gating import MIN_KNOWN, ScanGateStatistics, StatisticsByRobot
 
@@ -49,6 +49,41 @@ class ScanMatchStatistics:
             self.missed >= MISSED_BY_LOST * self.expected)
 
 
+@dataclass(frozen=True, slots=True)
+class ScanEvidence:
+    """What the latest scans of a robot say about its pose."""
+
+    failed: tuple[ScanGateStatistics, ...] = ()  #: the latest that mostly failed
+    inconclusive: int = 0  #: number of inconclusive scans since then
+    #: ambiguous_scans, ambiguous_observations: numbers in a row that all fit several landmarks
+    ambiguous_scans: int = 0
+    ambiguous_observations: int = 0
+    #: whether the last scan missed most landmarks without ID: that it fits others clears nothing
+    misses_most: bool = False
+
+    def with_failed(self, scan: ScanGateStatistics) -> 'ScanEvidence':
+        """Return the evidence with a further scan that mostly failed."""
+        return replace(self, failed=(*self.failed, scan)[-MAX_FAILED_SCANS:], inconclusive=0)
+
+
+NO_EVIDENCE = ScanEvidence()
+
+
+@dataclass(slots=True)
+class LostRobot:
+    """A robot that was lost and is not in ``map`` again."""
+
+    reason: str  #: why it counted as lost when it restarted in its own frame
+    probation: int = PROBATION  #: number of scans that must fit before it may join
+
+    def continue_probation(self, scan: ScanGateStatistics) -> None:
+        """Add a scan: one that mostly failed begins the probation again, unless it is over."""
+        if self.probation and scan.mostly_failed():
+            self.probation = PROBATION
+        elif self.probation and scan.known and 2 * scan.failed <= scan.known:
+            self.probation -= 1
+
+
 class LostRobotDetector:
     """
     Detects robots that are likely lost.
@@ -60,110 +95,96 @@ class LostRobotDetector:
     """
 
     def __init__(self) -> None:
-        self._failed: dict[str, list[ScanGateStatistics]] = {}
-        self._inconclusive: dict[str, int] = {}
-        self._ambiguous: dict[str, tuple[int, int]] = {}
-        # Whose last scan missed most landmarks without ID: that it fits others clears nothing.
-        self._misses_most: set[str] = set()
-        self._restarted: dict[str, str] = {}
-        self._probation: dict[str, int] = {}
+        self._evidence: dict[str, ScanEvidence] = {}
+        self._lost: dict[str, LostRobot] = {}
 
     def add(self, statistics: StatisticsByRobot) -> None:
         """Add the scans of one update."""
         for robot, scan in statistics.items():
+            evidence = self._of(robot)
             if scan.mostly_failed():
-                self._add_failed(robot, scan)
-            elif robot not in self._misses_most and (
-                    scan.is_conclusive() or scan.confirms_pose()):
+                self._evidence[robot] = evidence.with_failed(scan)
+            elif not evidence.misses_most and (scan.is_conclusive() or scan.confirms_pose()):
                 self.forget_scans(robot)
-            elif self.is_suspected(robot):
+            elif evidence.failed:
                 self.add_inconclusive(robot)
-            if robot in self._probation:
-                self._continue_probation(robot, scan)
+            if robot in self._lost:
+                self._lost[robot].continue_probation(scan)
 
     def add_matches(self, robot: str, scan: ScanMatchStatistics) -> None:
         """Add a scan of observations without ID."""
-        self._misses_most.discard(robot)
-        if scan.mostly_failed():
-            self._misses_most.add(robot)
-            self._add_failed(robot, ScanGateStatistics(scan.expected, scan.missed))
+        evidence = replace(self._of(robot), misses_most=scan.mostly_failed())
+        if evidence.misses_most:
+            evidence = evidence.with_failed(ScanGateStatistics(scan.expected, scan.missed))
         elif scan.used and scan.is_conclusive():
-            self.forget_scans(robot)
+            evidence = NO_EVIDENCE
         if scan.used:
-            self._ambiguous.pop(robot, None)
+            evidence = replace(evidence, ambiguous_scans=0, ambiguous_observations=0)
         elif scan.doubtful:
-            scans, observations = self._ambiguous.get(robot, (0, 0))
-            self._ambiguous[robot] = scans + 1, observations + scan.doubtful
-
-    def _add_failed(self, robot: str, scan: ScanGateStatistics) -> None:
-        self._failed.setdefault(robot, []).append(scan)
-        del self._failed[robot][:-MAX_FAILED_SCANS]
-        self._inconclusive.pop(robot, None)
+            evidence = replace(
+                evidence, ambiguous_scans=evidence.ambiguous_scans + 1,
+                ambiguous_observations=evidence.ambiguous_observations + scan.doubtful)
+        self._evidence[robot] = evidence
 
     def add_inconclusive(self, robot: str) -> None:
         """Add a scan of a suspected robot with too few known landmarks to check its pose."""
-        self._inconclusive[robot] = self._inconclusive.get(robot, 0) + 1
-        if self._inconclusive[robot] == MAX_INCONCLUSIVE:
+        evidence = self._of(robot)
+        self._evidence[robot] = replace(evidence, inconclusive=evidence.inconclusive + 1)
+        if evidence.inconclusive + 1 == MAX_INCONCLUSIVE:
             self.forget_scans(robot)
 
     def restart(self, robot: str) -> None:
         """Begin the probation of a lost robot that restarts in its own frame."""
-        self._restarted[robot] = self.reason(robot) or ''
-        self._probation[robot] = PROBATION
+        self._lost[robot] = LostRobot(self.reason(robot) or '')
         self.forget_scans(robot)
 
     def mark_found(self, in_map: Container[str]) -> None:
         """Clear the evidence against the robots that were lost and are in ``map`` again."""
-        for robot in [robot for robot in self._restarted if robot in in_map]:
+        for robot in [robot for robot in self._lost if robot in in_map]:
             self.reset(robot)
 
     def reset(self, robot: str) -> None:
         """Clear the evidence that a robot is lost."""
         self.forget_scans(robot)
-        self._restarted.pop(robot, None)
-        self._probation.pop(robot, None)
+        self._lost.pop(robot, None)
 
     def forget_scans(self, robot: str) -> None:
         """End the suspicion that a robot is lost."""
-        self._ambiguous.pop(robot, None)
-        self._failed.pop(robot, None)
-        self._inconclusive.pop(robot, None)
+        self._evidence.pop(robot, None)
 
     def is_suspected(self, robot: str) -> bool:
         """Return whether most of a scan of a robot failed, and none since has cleared it."""
-        return robot in self._failed
+        return bool(self._of(robot).failed)
 
     def must_restart(self, robot: str) -> bool:
         """Return whether enough scans in a row mostly failed."""
-        scans = self._failed.get(robot, [])
+        scans = self._of(robot).failed
         return len(scans) >= LOST_AFTER and (
             sum(scan.failed for scan in scans) >= MIN_CONTRADICTIONS)
 
     def ambiguous(self, robot: str) -> int:
         """Return how many observations in a row fit several places, 0 until they are enough."""
-        scans, observations = self._ambiguous.get(robot, (0, 0))
-        is_enough = scans >= AMBIGUOUS_SCANS and observations >= AMBIGUOUS_OBSERVATIONS
+        evidence = self._of(robot)
+        observations = evidence.ambiguous_observations
+        is_enough = (
+            evidence.ambiguous_scans >= AMBIGUOUS_SCANS and observations >= AMBIGUOUS_OBSERVATIONS)
         return observations if is_enough else 0
 
     def on_probation(self) -> dict[str, str]:
         """Return why robots that were lost may not join ``map`` yet."""
         return {
-            robot: f'it was lost: {remaining} more scans must fit the map of its own frame'
-            for robot, remaining in self._probation.items()}
+            robot: f'it was lost: {lost.probation} more scans must fit the map of its own frame'
+            for robot, lost in self._lost.items() if lost.probation}
 
     def reason(self, robot: str) -> str | None:
         """Return why a robot counts as lost, None if it does not."""
-        scans = self._failed.get(robot, [])[-LOST_AFTER:]
+        evidence = self._of(robot)
+        scans = evidence.failed[-LOST_AFTER:]
         if len(scans) < LOST_AFTER:
-            return self._restarted.get(robot)
+            return self._lost[robot].reason if robot in self._lost else None
         failed, known = sum(scan.failed for scan in scans), sum(scan.known for scan in scans)
-        what = 'landmarks in view missed' if robot in self._misses_most else 'observations gated'
+        what = 'landmarks in view missed' if evidence.misses_most else 'observations gated'
         return f'{failed} of {known} {what} in a row'
 
-    def _continue_probation(self, robot: str, scan: ScanGateStatistics) -> None:
-        if scan.mostly_failed():
-            self._probation[robot] = PROBATION
-        elif scan.known and 2 * scan.failed <= scan.known:
-            self._probation[robot] -= 1
-            if not self._probation[robot]:
-                del self._probation[robot]
+    def _of(self, robot: str) -> ScanEvidence:
+        return self._evidence.get(robot, NO_EVIDENCE)
