@@ -22,7 +22,7 @@ from fej_slam_ros.core.ekf.gating import (
 from fej_slam_ros.core.ekf.joint_covariance import reserve
 from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
+from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, observation_columns, position_indices, Robot)
 from fej_slam_ros.core.geometry import Array, Indices, perpendicular
@@ -203,7 +203,7 @@ class Filter:
         """Correct the prior estimate by dx (n,), whose covariance has been updated."""
         state, policy = self.state, self.linearization
         state.x_hat = policy.retract(state, x_prior, dx)
-        transport_errors(policy, state, x_prior, dx)
+        policy.transport_errors(state, x_prior, dx)
 
     def _relinearized(
         self, stack: StackedObservations, x_prior: Array, dx: Array

@@ -90,7 +90,9 @@ class Linearization:
         self, state: JointState, poses: Poses, points: Points, stamp: int
     ) -> tuple[Poses, Points]:
         """
-        Return the points at which the step-0 covariance is linearised, by default the solution.
+        Return the points at which the step-0 covariance is linearised.
+
+        By default the values of variables in the state, and the solution for new ones.
 
         Parameters
         ----------
@@ -99,7 +101,10 @@ class Linearization:
         stamp : time of step 0 [ns]
 
         """
-        return poses, points
+        robots, landmarks = state.robots, state.landmarks
+        known_poses = {name: self._value(state, robots[name]) for name in poses if name in robots}
+        known = {key: self._value(state, landmarks[key]) for key in points if key in landmarks}
+        return poses | known_poses, points | known
 
     def joining_points(
         self, state: JointState, shared: Variables, new: Variables, carried: Array
@@ -138,22 +143,25 @@ class Linearization:
         """
         return None
 
+    def transport_errors(self, state: JointState, x_prior: Array, dx: Array) -> None:
+        """Transform the covariance of errors at x_prior (n,) to that of errors at x_hat."""
+        A = self.transport(state, x_prior, dx)
+        if A is not None:
+            state.covariance.transport(A)
+
     def _value(self, state: JointState, variable: Variable) -> Array:
         """Return the value at which a variable of the state is linearised."""
         return state.estimate(variable)
 
-    def _at_known_values(
-        self, state: JointState, poses: Poses, points: Points
-    ) -> tuple[Poses, Points]:
-        """Return poses and points, with `_value` for variables that are in the state."""
-        robots, landmarks = state.robots, state.landmarks
-        known_poses = {name: self._value(state, robots[name]) for name in poses if name in robots}
-        known = {key: self._value(state, landmarks[key]) for key in points if key in landmarks}
-        return poses | known_poses, points | known
-
 
 class Standard(Linearization):
     """The standard EKF: every Jacobian at the current estimate, eqs. (5), (10) and (11)."""
+
+    def initialization_points(
+        self, state: JointState, poses: Poses, points: Points, stamp: int
+    ) -> tuple[Poses, Points]:
+        """Return the solution, which is the current estimate after step 0."""
+        return poses, points
 
 
 class FirstEstimates(Linearization):
@@ -170,12 +178,6 @@ class FirstEstimates(Linearization):
     def observation_points(self, state: JointState, columns: Indices) -> Array:
         """Return the first estimates, eqs. (23) and (24)."""
         return state.x_first.take(columns)
-
-    def initialization_points(
-        self, state: JointState, poses: Poses, points: Points, stamp: int
-    ) -> tuple[Poses, Points]:
-        """Return the first estimates of variables in the state, else the solution."""
-        return self._at_known_values(state, poses, points)
 
     def _value(self, state: JointState, variable: Variable) -> Array:
         return state.first_estimate(variable)
@@ -262,12 +264,6 @@ class Invariant(Linearization):
     #: Errors of 1.4 rad are corrected at once; a standard deviation of 1 rad reaches half a turn.
     max_turn_sigma = max_turn_sigma_without_ids = 1.0
 
-    def initialization_points(
-        self, state: JointState, poses: Poses, points: Points, stamp: int
-    ) -> tuple[Poses, Points]:
-        """Return the estimates of variables in the state, else the solution."""
-        return self._at_known_values(state, poses, points)
-
     def retract(self, state: JointState, x: Array, dx: Array) -> Array:
         """
         Return x with positions C(theta) p + V(theta) xi, xi = dp - J p theta: the exponential map.
@@ -300,12 +296,3 @@ class Invariant(Linearization):
 #: Factories of the policies by the value of parameter `filter`, given the ground truth.
 LINEARIZATIONS: Mapping[str, type[Linearization]] = {
     'fej': FirstEstimates, 'invariant': Invariant, 'standard': Standard, 'ideal': Ideal}
-
-
-def transport_errors(
-    linearization: Linearization, state: JointState, x_prior: Array, dx: Array
-) -> None:
-    """Transform the covariance of errors at x_prior (n,) to that of errors at x_hat."""
-    A = linearization.transport(state, x_prior, dx)
-    if A is not None:
-        state.covariance.transport(A)

@@ -12,7 +12,7 @@ import numpy as np
 
 from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.ekf.covariance import Covariance
-from fej_slam_ros.core.ekf.linearization import Linearization, Points, Poses, transport_errors
+from fej_slam_ros.core.ekf.linearization import Linearization, Points, Poses
 from fej_slam_ros.core.ekf.state import at_slot, JointState, Landmark, Robot, Variable
 from fej_slam_ros.core.ekf.whitening import whiten
 from fej_slam_ros.core.geometry import Array
@@ -64,7 +64,7 @@ def initialize(
     located = _joint_state(solved, state, scans, stamp)
     x_prior = [*(solved.poses | known.poses).values(), *(solved.points | known.points).values()]
     before = np.concatenate(x_prior)
-    transport_errors(linearization, located, before, located.x_hat - before)
+    linearization.transport_errors(located, before, located.x_hat - before)
     return located
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 
 from fej_slam_ros.core.ekf.covariance import Covariance
-from fej_slam_ros.core.ekf.linearization import Linearization, transport_errors
+from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import at_slot, JointState
 from fej_slam_ros.core.geometry import Array, poses_plus, wrap_all
 from fej_slam_ros.core.joining.frame_fit import shared_variables, StackedVariables, Variables
@@ -61,7 +61,7 @@ def joined_state(
     state = _combined(team, new.variables, x_hat, x_first, np.block([
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
     before = np.concatenate([team.estimates(), first])
-    transport_errors(linearization, state, before, state.x_hat - before)
+    linearization.transport_errors(state, before, state.x_hat - before)
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
         [key for key in team.rendezvous_points if key in group.rendezvous_points], [state])
