@@ -10,8 +10,7 @@ confirm observes it. One that fails the gate again and again, among others that 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import (
-    Association, CONTRADICTION_D2, StatisticsByRobot, suspected_robots)
+from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot, suspected_robots
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
 from fej_slam_ros.core.records import LandmarkKey
@@ -75,7 +74,7 @@ def remove_contradicted(
     for gated in innovation.rejected:
         observer, observed, _ = gated.association
         if (isinstance(observed, Landmark) and not observed.is_reobserved
-                and gated.d2 > CONTRADICTION_D2 and observer.name not in suspected
+                and gated.contradicts() and observer.name not in suspected
                 and observed.key in state.landmarks):
             contradicted[observed.key] = observed
     state.remove_all([*contradicted.values()])
@@ -103,7 +102,7 @@ def report_moved(state: JointState, innovation: Innovation, statistics: Statisti
     passed = _landmark_pairs(a for a in innovation.used if a.observer.name not in suspected)
     rejected = _landmark_pairs(gated.association for gated in innovation.rejected)
     contradicting = _landmark_pairs(
-        gated.association for gated in innovation.rejected if gated.d2 > CONTRADICTION_D2)
+        gated.association for gated in innovation.rejected if gated.contradicts())
     for robot, landmark in contradicting:
         if _pose_is_confirmed(robot, landmark, passed, rejected):
             landmark.moved_evidence = landmark.moved_evidence or MovedLandmarkEvidence()

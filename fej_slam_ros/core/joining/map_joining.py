@@ -62,12 +62,12 @@ class MapJoiner:
         if landmarks + points < self._min_landmarks:
             return JoinFailure(f'{shared}, needs {self._min_landmarks}')
         # The conditions of a join cost little however large the maps are.
-        ours, theirs = shared_variables(team.state, group.state)
+        _, theirs = shared_variables(team.state, group.state)
         local = _from_first_robot(group, theirs)
         if not determine_heading(team.state, local):
             return JoinFailure(f'{shared} are at one place, which determines no heading')
         found = fit(team.state, local)
-        failure = self._contradiction(team, ours, local, found, shared, landmarks + points)
+        failure = self._contradiction(team, local, found, shared)
         if failure is not None:
             return failure
         try:
@@ -97,10 +97,10 @@ class MapJoiner:
         return left_out
 
     def _contradiction(
-        self, team: Filter, ours: Variables, local: JointState, found: FrameFit, shared: str,
-        count: int,
+        self, team: Filter, local: JointState, found: FrameFit, shared: str
     ) -> JoinFailure | None:
-        """Return why the fit of a number of shared variables, in words, joins no frames."""
+        """Return why a fit to the shared variables, which are named in words, joins no frames."""
+        count = len(found.shared)
         if not found.is_consistent(self._tail):
             outlying = outlying_landmarks(team.state, local, self._tail)
             if outlying and count - len(outlying) >= self._min_landmarks:
@@ -116,7 +116,7 @@ class MapJoiner:
         sigma = found.heading_sigma()
         if sigma > self._max_heading_sigma:
             # The uncertainty of the global heading of the team is irrelevant.
-            sigma = min(sigma, fit(_from_first_robot(team, ours), local).heading_sigma())
+            sigma = min(sigma, fit(_from_first_robot(team, found.shared), local).heading_sigma())
         if sigma > self._max_heading_sigma:
             return JoinFailure(
                 f'{shared} determine the heading to {sigma:.2f} rad only, needs'
