@@ -55,7 +55,8 @@ def align_by_landmarks(
     # Traces do not depend on the frame of either P.
     weights = 2.0 / np.diag(P_p + P_q).reshape(-1, 2).sum(axis=1)
     spread = points_q - np.average(points_q, axis=0, weights=weights)
-    heading_sigma = 1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1))
+    with np.errstate(divide='ignore'):  # it is infinite if all are at one place
+        heading_sigma = 1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1))
     if heading_sigma > MAX_ALIGNMENT_SIGMA:
         return JoinFailure(
             f'cannot align: the heading sigma by {len(shared)} shared landmarks is'

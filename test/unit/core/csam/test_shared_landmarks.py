@@ -14,6 +14,7 @@ from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
+from fej_slam_ros.core.smoothing.factors import Values
 from helpers.csam import in_another_frame, Met, true_base_node
 
 
@@ -63,6 +64,16 @@ def test_too_few_landmarks_do_not_align_maps():
 
     assert isinstance(failure, JoinFailure)
     assert failure.reason == '2 shared landmarks, 3 are needed'
+
+
+@pytest.mark.filterwarnings('error')
+def test_landmarks_at_one_place_do_not_align_maps():
+    _, (p, q, _) = maps(3)
+    at_one_place = Values(q.values.poses, np.ones_like(q.values.points))
+
+    failure = align_by_landmarks(p, replace(q, values=at_one_place), 3)
+
+    assert 'shared landmarks is inf rad' in failure.reason
 
 
 def test_the_factor_of_stated_noise_is_one_and_that_of_a_bias_above():
