@@ -22,6 +22,7 @@ from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, OdometryErrors)
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.offline_matching import Received
+from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import (
     NS, Odometry, PriorMap, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings
@@ -29,8 +30,6 @@ from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.prior_map import prior_map
 
-#: Range of the noise scale parameters.
-MIN_SCALE, MAX_SCALE = 1e-3, 1e3
 #: Maximum number of times that observations without IDs are matched, and the change of the
 #: logarithm of a factor below which they are not matched again.
 MAX_MATCHINGS, MAX_LOG_CHANGE = 8, 0.05
@@ -231,7 +230,7 @@ def _corrected(values: Mapping[str, object], estimates: Estimates) -> dict[str, 
             name = f'{kind}_noise_scale'
             corrected = {key: x for key, x in corrected.items() if key.split('.')[-1] != name}
             for robot, noise in estimates[kind].scales.items():
-                scale = min(max(noise.scale, MIN_SCALE), MAX_SCALE)
+                scale = min(max(noise.scale, 1.0 / MAX_NOISE_SCALE), MAX_NOISE_SCALE)
                 corrected[f'{robot}.{name}'.lstrip('.')] = float(f'{scale:.4g}')
     return corrected
 

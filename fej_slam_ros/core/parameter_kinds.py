@@ -87,7 +87,9 @@ POSE = replace(numbers('three numbers [x, y, yaw]', Range(-1e9, 1e9), (3,)), ang
 POSE_SIGMA = numbers('three numbers [x, y, yaw]', SIGMA, (3,))
 # Zero would make the covariance of an observation singular.
 POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))
-NOISE_SCALE = numbers('a number', Range(1e-3, 1e3))
+#: Largest noise scale, and inverse of the smallest.
+MAX_NOISE_SCALE = 1e3
+NOISE_SCALE = numbers('a number', Range(1.0 / MAX_NOISE_SCALE, MAX_NOISE_SCALE))
 ODOMETRY_SCALE = numbers('two numbers [distance, turn]', Range(0.1, 10), (2,))
 TURN_BIAS = numbers('a number', Range(-10, 10))
 # Clouds carry IDs as int32, in which -1 means unknown.

@@ -33,6 +33,7 @@ from fej_slam_ros.core.ekf.state import Robot
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.offline_matching import Received
+from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import PointKey, PriorMap
 from fej_slam_ros.core.settings import Settings
 
@@ -42,6 +43,9 @@ EXPONENT = 0.75
 #: Largest change of the logarithm of a factor in the last step, and number of steps after which
 #: the factors count as not determined.
 MAX_CHANGE, MAX_STEPS = 0.01, 12
+#: Largest logarithm of a factor, so that a step beside it is still within the parameter's range.
+#: Observations without any noise, as of some simulators, determine none.
+MAX_LOG_FACTOR = math.log(MAX_NOISE_SCALE) - LAST_STEP
 
 
 class Moments(NamedTuple):
@@ -164,6 +168,8 @@ def scales_over_windows(
                 moments(theta + LAST_STEP * e) for e in np.eye(len(kinds))])
             break
         theta += step
+        if np.abs(theta).max() > MAX_LOG_FACTOR:
+            break
     samples = counts(records)
     return {
         kind: NoiseScale(scale, error, samples[kind])

@@ -83,6 +83,15 @@ def test_factors_of_independent_errors_equal_those_of_the_simulation(seed):
     assert all(scale.is_known() for scale in found.values())
 
 
+@pytest.mark.parametrize(('true', 'is_known'), [(1.0 / 200.0, True), (1e-4, False)])
+def test_a_factor_beyond_the_range_of_its_parameter_is_not_determined(true, is_known):
+    records = received(claiming(simulated(1, loops=2, rate=1), {Scan: 1.0 / true}))
+
+    found = scales_over_windows(team(), records, {'landmark': 1.0})
+
+    assert found['landmark'].is_known() == is_known
+
+
 def test_errors_of_odometry_that_persist_count_over_5_s():
     records = received(with_persistent_odometry_errors(
         simulated(
