@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Clock offsets between robots, estimated from the delays of their messages."""
 
-from collections import Counter, defaultdict, deque
+from collections import defaultdict, deque
 from statistics import median
 
 #: Number of the latest messages of each robot whose delays count: a few seconds of odometry, so
@@ -20,15 +20,14 @@ class ClockOffsets:
     """
 
     def __init__(self) -> None:
-        self._messages: Counter[str] = Counter()
         # Number and delay of the messages of each robot that are faster than all later ones, so
-        # that the first is the fastest.
+        # that the first is the fastest and the last the newest.
         self._fastest: defaultdict[str, deque[tuple[int, int]]] = defaultdict(deque)
 
     def add(self, robot: str, delay: int) -> None:
         """Add the delay [ns] of a message."""
-        number = self._messages[robot] = self._messages[robot] + 1
         fastest = self._fastest[robot]
+        number = fastest[-1][0] + 1 if fastest else 1
         while fastest and fastest[-1][1] >= delay:
             fastest.pop()
         fastest.append((number, delay))
@@ -37,7 +36,6 @@ class ClockOffsets:
 
     def remove_robot(self, robot: str) -> None:
         """Delete the delays of a robot that was removed."""
-        self._messages.pop(robot, None)
         self._fastest.pop(robot, None)
 
     def delay(self, robot: str) -> int | None:

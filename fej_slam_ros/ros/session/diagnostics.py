@@ -113,7 +113,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
         """Return the status of the filter or smoother."""
 
     def _robots(self, now: int, elapsed: float) -> Iterator[Message]:
-        statistics = self._consumer.statistics
+        statistics, health = self._consumer.statistics, self._inputs.health
         for name in self._consumer.robots:
             since = statistics.received[name] - self._received[name]
             state = self._with_faults(name, now, *self._state_of(name))
@@ -125,10 +125,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
                     'sightings_relaxed': statistics.observations_inflated[name],
                     'rate_hz': round(since / elapsed, 2) if elapsed > 0.0 else 0.0,
                     **{
-                        f'{kind}_rate_hz': round(self._inputs.health.flow(name, kind).rate(), 2)
+                        f'{kind}_rate_hz': round(health.flow(name, kind).rate(), 2)
                         for kind in MEASUREMENT_TOPICS},
-                    'delays_others_s': round(self._inputs.health.lag(name) / NS, 3),
-                    'delay_s': round(self._inputs.delays.get(name, 0) * 1e-9, 6),
+                    'delays_others_s': round(health.robots[name].lag() / NS, 3),
+                    'delay_s': round((health.robots[name].delay or 0) * 1e-9, 6),
                     'released_without': statistics.released_without[name],
                     'located_anew': statistics.relocalized[name],
                     'longest_late_s': round(statistics.longest_delay[name] * 1e-9, 6),
@@ -154,12 +154,12 @@ class Diagnostics(ABC, Generic[ConsumerT]):
             '; '.join([message, *(fault.message for fault in found)]))
 
     def _clock_values(self, robot: str) -> dict[str, float]:
-        offset = self._inputs.clock_offsets.offset(robot)
+        offset = self._inputs.health.clock_offsets.offset(robot)
         return {} if offset is None else {'clock_offset_s': round(offset / NS, 6)}
 
     def _clock_faults(self, robot: str) -> Iterator[Fault]:
         """Yield the condition that stamps and the clock of reception differ."""
-        delay = self._inputs.clock_offsets.delay(robot) or 0
+        delay = self._inputs.health.clock_offsets.delay(robot) or 0
         if abs(delay) > self.settings.clock_limit * NS:
             side = 'behind' if delay > 0 else 'ahead of'
             yield Fault(Level.WARN, (

@@ -17,7 +17,7 @@ from typing import NamedTuple
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_health import (
-    EXACT_MESSAGES, InputHealth, MIN_GATE_SAMPLE, UNMOVED_MESSAGES)
+    EXACT_MESSAGES, InputHealth, MIN_GATE_SAMPLE, RobotHealth, UNMOVED_MESSAGES)
 from fej_slam_ros.ros.session.topic_flow import RATE_WINDOW, TopicFlow
 from fej_slam_ros.ros.topic_types import MEASUREMENT_TOPICS, OBSERVATION_TOPICS, SENT_TOPICS
 
@@ -93,9 +93,14 @@ class RobotInput:
     #: publishers on the topics of the team, by relative name, empty if unknown
     publishers: Mapping[str, TopicPublishers]
 
+    @property
+    def own_health(self) -> RobotHealth:
+        """Return the health of the input of the robot."""
+        return self.health.robots[self.robot]
+
     def flow(self, kind: str) -> TopicFlow:
         """Return the messages on a topic of the robot."""
-        return self.health.flow(self.robot, kind)
+        return self.own_health.flows[kind]
 
     def has_stopped(self, kind: str) -> bool:
         """Return whether a topic that sent messages has stopped."""
@@ -201,14 +206,14 @@ def _other_clock(given: RobotInput) -> Iterator[Fault]:
 
 
 def _unmoved(given: RobotInput) -> Iterator[Fault]:
-    if given.health.unmoved[given.robot] >= UNMOVED_MESSAGES:
+    if given.own_health.unmoved >= UNMOVED_MESSAGES:
         yield Fault(Level.ERROR, (
             f'{given.topic("odom")} has velocities, but its pose never changes: integrate them'
             ' into pose.pose, only poses are used'))
 
 
 def _exact_odometry(given: RobotInput) -> Iterator[Fault]:
-    if given.health.exact[given.robot] >= EXACT_MESSAGES:
+    if given.own_health.exact >= EXACT_MESSAGES:
         yield Fault(Level.WARN, (
             f'{given.topic("odom")} has almost no variance of vx or wz in twist.covariance, so'
             ' that observations hardly correct it: fill in vx, vy and wz, or leave them zero'))
@@ -236,14 +241,14 @@ def _too_frequent(given: RobotInput) -> Iterator[Fault]:
 
 
 def _beyond_limits(given: RobotInput) -> Iterator[Fault]:
-    beyond = given.health.robots[given.robot].recently_rejected()
+    beyond = given.own_health.observations.recently_rejected()
     for reason, sentence in LIMITS.items():
         if beyond[reason]:
             yield Fault(Level.ERROR, sentence.format(n=beyond[reason]))
 
 
 def _mostly_gated(given: RobotInput) -> Iterator[Fault]:
-    gated, total = given.health.robots[given.robot].gated()
+    gated, total = given.own_health.observations.gated()
     if total >= MIN_GATE_SAMPLE and gated > GATED_WARN * total:
         level = Level.ERROR if gated > GATED_ERROR * total else Level.WARN
         yield Fault(level, (
@@ -252,29 +257,29 @@ def _mostly_gated(given: RobotInput) -> Iterator[Fault]:
 
 
 def _none_used(given: RobotInput) -> Iterator[Fault]:
-    health = given.health.robots[given.robot]
+    use = given.own_health.observations
     patience = max(MIN_UNUSED_TIME, 2 * given.health.longest_lead)
-    if (health.unused_since is None or given.now - health.unused_since < patience
-            or health.unused_observations < MIN_UNUSED):
+    if (use.unused_since is None or given.now - use.unused_since < patience
+            or use.unused_observations < MIN_UNUSED):
         return
-    reasons = [reasons_in_words(health.unused_reasons)] if health.unused_reasons else []
+    reasons = [reasons_in_words(use.unused_reasons)] if use.unused_reasons else []
     waiting = given.health.waiting(given.robot)
     if waiting >= MIN_UNUSED:
         reasons.append(f'{waiting} messages wait for later odometry')
     if not any(_mostly_gated(given)):
         yield Fault(Level.WARN, (
-            f'none of {health.unused_observations} observations used for'
-            f' {_seconds(given.now - health.unused_since)}:'
+            f'none of {use.unused_observations} observations used for'
+            f' {_seconds(given.now - use.unused_since)}:'
             f' {"; ".join(reasons) or "not accepted"}'))
 
 
 def _delays_others(given: RobotInput) -> Iterator[Fault]:
-    lag = given.health.lag(given.robot)
+    lag = given.own_health.lag()
     if lag <= MAX_LAG:
         return
     gaps = [
-        given.health.flow(name, 'odom').usual_gap()
-        for name in given.health.newest if name != given.robot]
+        health.flows['odom'].usual_gap() for name, health in given.health.robots.items()
+        if health.newest is not None and name != given.robot]
     if gaps and lag > NORMAL_LAG_RATIO * min(gaps):
         yield Fault(Level.WARN, (
             f'delays the other robots by up to {_seconds(lag)}: its odometry, every'

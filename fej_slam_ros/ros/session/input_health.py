@@ -4,13 +4,16 @@
 
 from collections import Counter, defaultdict, deque
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ordering.consumer import Consumer
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.topic_flow import RATE_WINDOW, TopicFlow
+from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 
 #: Maximum number of notes for the log that wait to be taken; a run without a node takes none.
 MAX_NOTES = 1000
@@ -50,8 +53,8 @@ class GateCounts(NamedTuple):
         return self.used + self.gated
 
 
-class RobotHealth:
-    """Counts of used and rejected input of one robot over the latest reports."""
+class ObservationUse:
+    """Counts of used and rejected observations of one robot over the latest reports."""
 
     def __init__(self) -> None:
         self.unused_since: int | None = None  #: time [ns] since which no observation was used
@@ -112,82 +115,26 @@ class RobotHealth:
         return sum(counts.total() for counts in self._gate)
 
 
-class InputHealth:
-    """
-    Watches the input of a team.
+@dataclass(slots=True)
+class RobotHealth:
+    """The input of one robot."""
 
-    Attributes
-    ----------
-    first_messages : robot and topic of each first message, until they are taken
-    newest : newest odometry stamp of each robot [ns]
-    pose_priors : stamps [ns] of the pose priors of each robot that wait for its next step
-    unmoved : number of the latest odometry messages of each robot that have velocities, but the
-        same pose
-    exact : number of the latest odometry messages of each robot that have velocities whose
-        variances are almost zero
-    rejected_priors : robot and reason of each rejected pose prior, until they are taken
-
-    """
-
-    def __init__(self, consumer: Consumer) -> None:
-        self._consumer = consumer
-        self.first_messages: deque[tuple[str, str]] = deque(maxlen=MAX_NOTES)
-        self.newest: dict[str, int] = {}
-        self.pose_priors: dict[str, list[int]] = {}
-        self.rejected_priors: deque[tuple[str, RejectionReason]] = deque(maxlen=MAX_NOTES)
-        self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
-        self.unmoved: Counter[str] = Counter()
-        self.exact: Counter[str] = Counter()
-        self._poses: dict[str, list[float]] = {}
-        self._flows: defaultdict[str, defaultdict[str, TopicFlow]] = (
-            defaultdict(lambda: defaultdict(TopicFlow)))
-        # Longest time [ns] by which the odometry of each robot was behind: since the last report,
-        # and in the two periods before.
-        self._lags: Counter[str] = Counter()
-        self._past_lags: deque[Counter[str]] = deque([Counter(), Counter()], maxlen=2)
-
-    @property
-    def stale_after(self) -> int:
-        """Return the time of silence [ns] after which a robot is not waited for."""
-        return round(self._consumer.settings.stale_after * NS)
-
-    @property
-    def longest_lead(self) -> int:
-        """Return the lead of others [ns] beyond which a robot is not waited for."""
-        return self.stale_after + round(self._consumer.settings.max_delay * NS)
-
-    def flow(self, robot: str, kind: str) -> TopicFlow:
-        """Return the messages of a robot on a topic, given by the last part of its name."""
-        return self._flows[robot][kind]
-
-    def receive(
-        self, robot: str, kind: str, received: int | None, reason: RejectionReason | None
-    ) -> None:
-        """Add a message with its time of reception [ns] and the reason if it was rejected."""
-        flow = self.flow(robot, kind)
-        if not flow.received:
-            self.first_messages.append((robot, kind))
-        flow.add(received, reason)
-        if kind == 'set_pose' and reason is not None:
-            self.rejected_priors.append((robot, reason))
-
-    def receive_pose_prior(self, robot: str, stamp: int) -> None:
-        """Add the stamp [ns] of an accepted pose prior."""
-        waiting = self.pose_priors.setdefault(robot, [])
-        waiting.append(stamp)
-        del waiting[:-MAX_NOTES]
-
-    def receive_odometry(self, robot: str, stamp: int) -> None:
-        """Add the stamp [ns] of accepted odometry, which may show that others lag behind."""
-        self.newest[robot] = max(stamp, self.newest.get(robot, stamp))
-        for name, newest in self.newest.items():
-            lag = stamp - newest
-            # Robots that lag further than the longest lead are not waited for.
-            if lag > self._lags.get(name, 0) and lag <= self.longest_lead:
-                self._lags[name] = lag
+    #: messages on each topic, by the last part of its name
+    flows: defaultdict[str, TopicFlow] = field(default_factory=lambda: defaultdict(TopicFlow))
+    observations: ObservationUse = field(default_factory=ObservationUse)
+    newest: int | None = None  #: newest odometry stamp [ns]
+    delay: int | None = None  #: from the stamp of the latest message to its reception [ns]
+    #: number of the latest odometry messages that have velocities, but the same pose
+    unmoved: int = 0
+    #: number of the latest odometry messages with velocities whose variances are almost zero
+    exact: int = 0
+    _pose: list[float] | None = None
+    #: longest times [ns] by which the odometry was behind that of others: in the two periods
+    #: before the last report, and since
+    _lags: deque[int] = field(default_factory=lambda: deque([0, 0, 0], maxlen=3))
 
     def receive_velocity(
-        self, robot: str, pose: Array, velocity: tuple[float, float], Q: Array | None
+        self, pose: Array, velocity: tuple[float, float], Q: Array | None
     ) -> None:
         """
         Add the motion of accepted odometry.
@@ -202,46 +149,119 @@ class InputHealth:
         is_moving = any(abs(v) > least for v, least in zip(velocity, MIN_SPEEDS))
         # Many robots cannot move sideways, and drivers may know a robot to be at rest.
         if Q is None or all(Q[k, k] >= MIN_SPEED_SIGMA[k] ** 2 for k in (0, 2)):
-            self.exact[robot] = 0
+            self.exact = 0
         elif is_moving:
-            self.exact[robot] += 1
+            self.exact += 1
         newest = pose.tolist()
-        if self._poses.get(robot) != newest:
-            self._poses[robot] = newest
-            self.unmoved[robot] = 0
+        if self._pose != newest:
+            self._pose, self.unmoved = newest, 0
         elif is_moving:
-            self.unmoved[robot] += 1
+            self.unmoved += 1
 
-    def remove_robot(self, robot: str) -> None:
-        """Delete the state of a robot that was removed."""
-        by_robot: list[dict[str, Any]] = [
-            self._flows, self.robots, self.newest, self.pose_priors, self.unmoved, self.exact,
-            self._poses, self._lags, *self._past_lags]
-        for values in by_robot:
-            values.pop(robot, None)
+    def note_lag(self, stamp: int, longest: int) -> None:
+        """Note how far the odometry is behind a stamp [ns], at most a longest lag [ns]."""
+        if self.newest is not None and self._lags[-1] < stamp - self.newest <= longest:
+            self._lags[-1] = stamp - self.newest
 
-    def sample(self, now: int) -> None:
-        """Add the present counts at the time [ns] of a report."""
-        statistics = self._consumer.statistics
-        for robot in self._consumer.robots:
-            flows = self._flows[robot]
-            for flow in flows.values():
-                flow.sample(now)
-            self.robots[robot].sample(
-                now, flows['landmarks'].observations + flows['robots'].observations,
-                statistics.observations_used[robot], statistics.rejection_counts[robot])
-        self._past_lags.append(self._lags)
-        self._lags = Counter()
-
-    def lag(self, robot: str) -> int:
+    def lag(self) -> int:
         """
-        Return how long [ns] others waited for the odometry of a robot.
+        Return how long [ns] others waited for the odometry.
 
         It is the smaller of the longest lags of two periods between reports, so that a single
         delayed message does not count.
 
         """
-        return min(lags[robot] for lags in self._past_lags)
+        return min(self._lags[0], self._lags[1])
+
+    def sample(self, now: int, used: int, reasons: Counter[RejectionReason]) -> None:
+        """Add the total numbers of used observations and rejections at a report [ns]."""
+        for flow in self.flows.values():
+            flow.sample(now)
+        observed = sum(self.flows[kind].observations for kind in OBSERVATION_TOPICS)
+        self.observations.sample(now, observed, used, reasons)
+        self._lags.append(0)
+
+
+class InputHealth:
+    """
+    Watches the input of a team.
+
+    Attributes
+    ----------
+    robots : input of each robot
+    clock_offsets : clock offsets of the robots, from the delays of their odometry
+    first_messages : robot and topic of each first message, until they are taken
+    pose_priors : stamps [ns] of the pose priors of each robot that wait for its next step
+    rejected_priors : robot and reason of each rejected pose prior, until they are taken
+
+    """
+
+    def __init__(self, consumer: Consumer) -> None:
+        self._consumer = consumer
+        self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
+        self.clock_offsets = ClockOffsets()
+        self.first_messages: deque[tuple[str, str]] = deque(maxlen=MAX_NOTES)
+        self.pose_priors: dict[str, list[int]] = {}
+        self.rejected_priors: deque[tuple[str, RejectionReason]] = deque(maxlen=MAX_NOTES)
+
+    @property
+    def stale_after(self) -> int:
+        """Return the time of silence [ns] after which a robot is not waited for."""
+        return round(self._consumer.settings.stale_after * NS)
+
+    @property
+    def longest_lead(self) -> int:
+        """Return the lead of others [ns] beyond which a robot is not waited for."""
+        return self.stale_after + round(self._consumer.settings.max_delay * NS)
+
+    def flow(self, robot: str, kind: str) -> TopicFlow:
+        """Return the messages of a robot on a topic, given by the last part of its name."""
+        return self.robots[robot].flows[kind]
+
+    def receive(
+        self, robot: str, kind: str, received: int | None, reason: RejectionReason | None
+    ) -> None:
+        """Add a message with its time of reception [ns] and the reason if it was rejected."""
+        flow = self.flow(robot, kind)
+        if not flow.received:
+            self.first_messages.append((robot, kind))
+        flow.add(received, reason)
+        if kind == 'set_pose' and reason is not None:
+            self.rejected_priors.append((robot, reason))
+
+    def receive_delay(self, robot: str, kind: str, delay: int) -> None:
+        """Add the time from the stamp of a message to its reception [ns]."""
+        self.robots[robot].delay = self.flow(robot, kind).delay = delay
+        if kind == 'odom':
+            self.clock_offsets.add(robot, delay)
+
+    def receive_pose_prior(self, robot: str, stamp: int) -> None:
+        """Add the stamp [ns] of an accepted pose prior."""
+        waiting = self.pose_priors.setdefault(robot, [])
+        waiting.append(stamp)
+        del waiting[:-MAX_NOTES]
+
+    def receive_odometry(self, robot: str, stamp: int) -> None:
+        """Add the stamp [ns] of accepted odometry, which may show that others lag behind."""
+        own = self.robots[robot]
+        own.newest = stamp if own.newest is None else max(stamp, own.newest)
+        # Robots that lag further than the longest lead are not waited for.
+        longest = self.longest_lead
+        for health in self.robots.values():
+            health.note_lag(stamp, longest)
+
+    def remove_robot(self, robot: str) -> None:
+        """Delete the state of a robot that was removed."""
+        self.robots.pop(robot, None)
+        self.pose_priors.pop(robot, None)
+        self.clock_offsets.remove_robot(robot)
+
+    def sample(self, now: int) -> None:
+        """Add the present counts at the time [ns] of a report."""
+        statistics = self._consumer.statistics
+        for robot in self._consumer.robots:
+            self.robots[robot].sample(
+                now, statistics.observations_used[robot], statistics.rejection_counts[robot])
 
     def waiting(self, robot: str) -> int:
         """Return the number of messages of a robot that wait to be used."""

@@ -21,7 +21,6 @@ from fej_slam_ros.ros.messages import (
     decoded_as, deserialize, incoming, incoming_clouds, Message, RawMessage, serialize)
 from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.clock_offsets import ClockOffsets
 from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.input_health import InputHealth
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, HeldOdometry, StartCheck
@@ -51,8 +50,6 @@ class Inputs:
     ----------
     frames : names of frames, in part from the odometry
     unused : number of messages on each topic that is not used
-    delays : delay [ns] from stamp to reception of each robot's latest message
-    clock_offsets : clock offsets of the robots, from the delays of their odometry
     time_jump_detector : passes the records on, and detects that time jumps back
     health : whether messages arrive, and are used
     on_odometry : called with the record and the message of each accepted odometry
@@ -68,8 +65,6 @@ class Inputs:
         self._consumer = consumer
         self._map_frame = settings.map_frame
         self.unused: Counter[str] = Counter()
-        self.delays: dict[str, int] = {}
-        self.clock_offsets = ClockOffsets()
         self.time_jump_detector = TimeJumpDetector(consumer, settings.on_time_jump == 'reset')
         self.frames = FrameNames(consumer, settings)
         self._mounts = SensorMounts(self.frames)
@@ -137,8 +132,6 @@ class Inputs:
             self._reject(robot, arrived.record.stamp, RejectionReason.LEFT)
         self._reject_waiting_scans(robot, RejectionReason.LEFT)
         self.frames.remove_robot(robot)
-        self.delays.pop(robot, None)
-        self.clock_offsets.remove_robot(robot)
         self.time_jump_detector.forget(robot)
         self.health.remove_robot(robot)
 
@@ -211,10 +204,7 @@ class Inputs:
             self._reject(robot.name, stamp, RejectionReason.BAD_STAMP)
             return
         if received is not None:
-            self.delays[robot.name] = received - stamp
-            self.health.flow(robot.name, kind).delay = received - stamp
-            if kind == 'odom':
-                self.clock_offsets.add(robot.name, received - stamp)
+            self.health.receive_delay(robot.name, kind, received - stamp)
         try:
             if kind == 'odom':
                 self._receive_odometry(robot, message, received)
@@ -243,9 +233,8 @@ class Inputs:
             return
         velocity = message.twist.twist
         self.health.receive_odometry(record.robot, record.stamp)
-        self.health.receive_velocity(
-            record.robot, record.pose, (velocity.linear.x, velocity.angular.z),
-            record.twist_covariance)
+        self.health.robots[record.robot].receive_velocity(
+            record.pose, (velocity.linear.x, velocity.angular.z), record.twist_covariance)
         self.frames.add(record.robot, message)
         self.on_odometry(record, message)
         robot = self._consumer.robots[record.robot]

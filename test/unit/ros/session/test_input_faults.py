@@ -162,7 +162,7 @@ def test_mostly_gated_observations_are_a_warning_or_an_error(scans, size, gated,
     case = flowing()
     # One scan per report.
     for k in range(size, size * scans + 1, size):
-        case.health.robots['r2'].sample(
+        case.health.robots['r2'].observations.sample(
             k * S // size, k, max(k - gated, 0), Counter({RejectionReason.GATED: min(k, gated)}))
 
     expected = (
@@ -210,7 +210,7 @@ def test_in_a_slow_team_no_robot_delays_the_others():
         case.health.receive_odometry('r1', ms * MS)
         case.health.sample(ms * MS)
 
-    assert case.health.lag('r2') == 900 * MS
+    assert case.health.robots['r2'].lag() == 900 * MS
     assert case.at(20 * S) == []
 
 
@@ -308,7 +308,8 @@ def test_observations_with_another_clock_than_odometry_are_an_error(odometry, sc
 def test_velocities_without_motion_of_the_pose_are_an_error(poses, speed, is_fault):
     case = flowing()
     for k in range(200):
-        case.health.receive_velocity('r2', np.array([poses(k), 0.0, 0.0]), (speed, 0.0), None)
+        case.health.robots['r2'].receive_velocity(
+            np.array([poses(k), 0.0, 0.0]), (speed, 0.0), None)
 
     assert case.at(10 * S) == ([(ERROR, (
         '/fleet/r2/odom has velocities, but its pose never changes: integrate them into pose.pose,'
@@ -322,8 +323,8 @@ def test_velocities_without_motion_of_the_pose_are_an_error(poses, speed, is_fau
 def test_odometry_that_claims_to_be_exact_is_named(variances, speed, is_fault):
     case = flowing()
     for k in range(200):
-        case.health.receive_velocity(
-            'r2', np.array([0.1 * k, 0.0, 0.0]), (speed, 0.0), np.diag(variances))
+        case.health.robots['r2'].receive_velocity(
+            np.array([0.1 * k, 0.0, 0.0]), (speed, 0.0), np.diag(variances))
 
     assert case.at(10 * S) == ([(WARN, (
         '/fleet/r2/odom has almost no variance of vx or wz in twist.covariance, so that'

@@ -253,7 +253,7 @@ def test_an_empty_scan_is_a_step_without_observations():
 def test_the_delay_is_from_stamp_to_reception():
     run = run_of(odom(100, received=150), odom(200, received=230))
 
-    assert run.inputs.delays == {'r1': 30 * MS}
+    assert run.inputs.health.robots['r1'].delay == 30 * MS
 
 
 def test_a_message_on_set_pose_joins_a_robot_to_the_map():

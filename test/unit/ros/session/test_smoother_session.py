@@ -185,11 +185,11 @@ def test_the_state_of_the_input_of_a_robot_is_removed_with_it():
     run = SmootherSession(run_settings('p', 'q', shared_landmark_ids=False), None)
     for message in RENDEZVOUS[:50]:
         run.receive(message)
-    assert run.inputs.health.newest.keys() == {'p', 'q'}
+    assert run.inputs.health.robots.keys() == {'p', 'q'}
 
     run.change_team(['p'])
 
-    assert run.inputs.health.newest.keys() == {'p'}
+    assert run.inputs.health.robots.keys() == {'p'}
 
 
 def test_a_robot_that_returns_is_lost_until_it_observes_its_landmarks():
