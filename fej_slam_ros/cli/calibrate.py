@@ -130,8 +130,8 @@ def _scores(
 def _odometry_table(found: RobotErrors) -> str:
     return text_table(ODOMETRY_HEADINGS, (
         (robot, *(
-            cell for value, sigma, is_known in zip(errors.values, errors.sigma, errors.is_known)
-            for cell in (number(value if is_known else None, '.4f'), f'{sigma:.4f}')),
+            cell for value, sigma, is_found in zip(errors.values, errors.sigma, errors.is_known)
+            for cell in (number(value if is_found else None, '.4f'), f'{sigma:.4f}')),
          str(errors.pairs), source)
         for robot, (source, errors) in found.items()))
 

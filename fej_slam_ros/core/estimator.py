@@ -133,6 +133,11 @@ class Estimator(TeamInput):
             yield from self.take()
         yield from self.close()
 
+    @property
+    def is_waiting(self) -> bool:
+        """Return whether there is no step to take before more input."""
+        return self.sequencer.is_waiting
+
     def take(self) -> Iterator[StepResult]:
         """Yield the steps that wait for no more input."""
         return map(self._checked_step, self.sequencer.take())

@@ -25,6 +25,7 @@ from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.detector_session import DetectorSession
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.record_collector import RecordCollector
+from fej_slam_ros.ros.session.robot_detector import RobotDetector
 
 #: Number of messages of each topic that are used, and of all topics: the first ones.
 MAX_SCANS, MAX_MESSAGES = 2_000, 60_000
@@ -89,19 +90,17 @@ def check(
         if fit is not None:
             yield from findings(f'{robot}/landmarks', fit)
         if robot in any_post.robots:
-            yield from _radii(robot, lasers.radii[robot], detector)
-            yield from _conditions(robot, lasers, collector.robots[robot].sensor_frame is None)
+            found = lasers.detectors[robot]
+            yield from _radii(robot, found.radii, detector)
+            yield from _conditions(robot, found, collector.robots[robot].sensor_frame is None)
 
 
 def _any_post_settings(detector: DetectorSettings, topics: Container[str]) -> DetectorSettings:
     """Return settings by which posts of any radius are found, also those that seem to move."""
-    with_scans = [
-        of_robot for of_robot in zip(detector.robots, detector.of_robots)
-        if f'{of_robot[0]}/scan' in topics]
+    with_scans = tuple(name for name in detector.robots if f'{name}/scan' in topics)
     return replace(
-        detector, robots=tuple(name for name, _ in with_scans),
-        of_robots=tuple(of_robot for _, of_robot in with_scans),
-        min_radius=ANY_RADIUS[0], max_radius=ANY_RADIUS[1], static_time=0.0)
+        detector, robots=with_scans, min_radius=ANY_RADIUS[0], max_radius=ANY_RADIUS[1],
+        static_time=0.0)
 
 
 def _fits(robots: Iterable[str], records: Sequence[Record], scans: Sequence[Scan]) -> Fits:
@@ -162,13 +161,13 @@ def _reversed_beams(robot: str, fit: SensorFit, other: SensorFit, needed: bool) 
 
 
 def _conditions(
-    robot: str, lasers: DetectorSession, needs_transform: bool
+    robot: str, detector: RobotDetector, needs_transform: bool
 ) -> Iterator[Finding]:
     """Yield the conditions of the scans of a robot, which the detector would report."""
     reported = CORRUPTING_CONDITIONS | DOUBTFUL_CONDITIONS
     if needs_transform:
         reported.add(FRAME_CONDITION)
-    for name, what, cure in lasers.conditions(robot):
+    for name, what, cure in detector.conditions():
         if name in reported:
             yield error_if(name in CORRUPTING_CONDITIONS)(name, f'{robot}/scan', what, cure)
 

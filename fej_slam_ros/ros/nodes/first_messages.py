@@ -24,33 +24,35 @@ class FirstMessages:
     def __init__(self, node: Node) -> None:
         self._node = node
         self._hidden: Node | None = None
-        self._probes: dict[str, Subscription] = {}
-        self._received: dict[str, list[bytes]] = {}
+        # The second subscription of each topic, and the messages that the first has received.
+        self._watched: dict[str, tuple[Subscription, list[bytes]]] = {}
 
     def watch(self, topic: str, subscription: Subscription) -> None:
         """Watch the topic of a subscription that has not received anything yet."""
-        if topic in self._probes:
+        if topic in self._watched:
             return
         if self._hidden is None:
             self._hidden = Node(
                 f'_{self._node.get_name()}_first_messages',
                 namespace=self._node.get_namespace(), context=self._node.context,
                 use_global_arguments=False, start_parameter_services=False, enable_rosout=False)
-        self._received[topic] = []
-        self._probes[topic] = self._hidden.create_subscription(
+        probe = self._hidden.create_subscription(
             subscription.msg_type, subscription.topic_name, _ignore, subscription.qos_profile,
             raw=True)
+        self._watched[topic] = probe, []
 
     def add(self, topic: str, raw: bytes) -> None:
         """Add a message that was received."""
-        if topic in self._probes and len(self._received[topic]) < MAX_STORED:
-            self._received[topic].append(raw)
+        if topic in self._watched:
+            _, received = self._watched[topic]
+            if len(received) < MAX_STORED:
+                received.append(raw)
 
     def missed(self, topic: str) -> int | None:
         """Return the number missed on a topic: None while it is unknown, 0 if not watched."""
-        if topic not in self._probes:
+        if topic not in self._watched:
             return 0
-        received, probe = self._received[topic], self._probes[topic]
+        probe, received = self._watched[topic]
         while True:
             taken = taken_message(probe)
             if taken is None:
@@ -62,16 +64,15 @@ class FirstMessages:
 
     def forget(self, topic: str) -> None:
         """Watch a topic no longer."""
-        if topic in self._probes and self._hidden is not None:
-            self._hidden.destroy_subscription(self._probes.pop(topic))
-            del self._received[topic]
-            if not self._probes:
+        if topic in self._watched and self._hidden is not None:
+            probe, _ = self._watched.pop(topic)
+            self._hidden.destroy_subscription(probe)
+            if not self._watched:
                 self.close()
 
     def close(self) -> None:
         """Watch nothing any more."""
-        self._probes.clear()
-        self._received.clear()
+        self._watched.clear()
         if self._hidden is not None:
             self._hidden.destroy_node()
             self._hidden = None

@@ -102,7 +102,7 @@ class FrontEndNode(ParameterNode):
     ) -> None:
         """Declare the parameters by their values, and create publishers and subscriptions."""
         self._front_end, self._known = front_end, known
-        self.redeclare(flat_values(settings, zip(settings.robots, settings.of_robots)), known)
+        self.redeclare(flat_values(settings, settings.of_robots), known)
         check_topic_names(self, [*front_end.topics, *front_end.outputs])
         self._outputs = {
             topic: self.create_publisher(message_class(type_name), topic, front_end_qos(topic))

@@ -3,7 +3,7 @@
 """Parameters of the adapter: which messages it reads, and how exact they are."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 import re
 
@@ -81,14 +81,14 @@ class AdapterSettings:
         'topics of transforms: /tf and /tf_static, <robot>/tf and <robot>/tf_static, or both')
     strict_parameters: bool = parameter(
         False, FLAG, 'a parameter of an unknown name is an error; false: a warning')
-    #: parameters of each robot, in the order of `robots`
-    of_robots: tuple[SensedRobotSettings, ...] = ()
+    #: parameters of each robot by its name
+    of_robots: Mapping[str, SensedRobotSettings] = field(default_factory=dict)
 
     def ids(self) -> dict[str, int]:
         """Return the ID of each robot by its name; that of one without is its position."""
         return {
             name: k if of_robot.id is None else of_robot.id
-            for k, (name, of_robot) in enumerate(zip(self.robots, self.of_robots), start=1)}
+            for k, (name, of_robot) in enumerate(self.of_robots.items(), start=1)}
 
     def noise(self) -> ObjectNoise:
         """Return the standard deviations of positions."""
@@ -110,7 +110,8 @@ def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> Adapt
     robots = robot_names(values.get('robots', []))
     given = by_owner(given_values(values, known_parameters(robots), warn, robots), robots)
     settings = AdapterSettings(
-        **given.pop(''), of_robots=tuple(SensedRobotSettings(**own) for own in given.values()))
+        **given.pop(''),
+        of_robots={robot: SensedRobotSettings(**own) for robot, own in given.items()})
     _check(settings)
     return settings
 
@@ -137,7 +138,7 @@ def _check(settings: AdapterSettings) -> None:
     if len({*settings.ids().values()}) < len(settings.robots):
         raise UsageError("parameters '<robot>.id' are the same for two robots: give each its own")
     owners: dict[str, str] = {}
-    for robot, robot_settings in zip(settings.robots, settings.of_robots):
+    for robot, robot_settings in settings.of_robots.items():
         for tag in robot_settings.tags:
             if owners.setdefault(tag, robot) != robot:
                 raise UsageError(

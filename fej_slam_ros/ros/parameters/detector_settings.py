@@ -3,7 +3,7 @@
 """Parameters of the detector: what the landmarks and the lasers are like."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from fej_slam_ros.core.parameter_kinds import (
@@ -78,8 +78,8 @@ class DetectorSettings:
         'topics of the static transforms of the lasers: /tf_static, <robot>/tf_static, or both')
     strict_parameters: bool = parameter(
         False, FLAG, 'a parameter of an unknown name is an error; false: a warning')
-    #: parameters of each robot, in the order of `robots`
-    of_robots: tuple[LaserRobotSettings, ...] = ()
+    #: parameters of each robot by its name
+    of_robots: Mapping[str, LaserRobotSettings] = field(default_factory=dict)
 
     def method(self) -> ScanDetector:
         """Return what finds the landmarks in a single scan."""
@@ -100,7 +100,8 @@ def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> Dete
     robots = robot_names(values.get('robots', []))
     given = by_owner(given_values(values, known_parameters(robots), warn, robots), robots)
     settings = DetectorSettings(
-        **given.pop(''), of_robots=tuple(LaserRobotSettings(**own) for own in given.values()))
+        **given.pop(''),
+        of_robots={robot: LaserRobotSettings(**own) for robot, own in given.items()})
     if settings.min_radius > settings.max_radius:
         raise UsageError(
             f'min_radius {settings.min_radius:g} is above max_radius {settings.max_radius:g}:'

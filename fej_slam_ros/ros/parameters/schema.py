@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Names, kinds and descriptions of all parameters, from the settings that declare them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 
@@ -66,10 +66,10 @@ def full_names(team: type, robot: type, robots: Sequence[str]) -> dict[str, Para
         f'{owner}.{name}': p for owner in robots for name, p in parameters_of(robot).items()}
 
 
-def flat_values(team: object, of_robots: Iterable[tuple[str, object]]) -> dict[str, Value]:
+def flat_values(team: object, of_robots: Mapping[str, object]) -> dict[str, Value]:
     """Return settings of a team and of robots by name, without those that are not set."""
     flat = _flat(type(team), vars(team))
-    for name, of_robot in of_robots:
+    for name, of_robot in of_robots.items():
         flat |= _flat(type(of_robot), vars(of_robot), f'{name}.')
     return flat
 

@@ -60,12 +60,10 @@ class AdapterSession:
         save: Callable[[Mapping[str, int]], object],
     ) -> None:
         self._settings, self._noise, self._save = settings, settings.noise(), save
-        of_robots = dict(zip(settings.robots, settings.of_robots))
-        self._tag_depths = {name: of_robot.tag_depth for name, of_robot in of_robots.items()}
         self._carriers = {
-            tag: name for name, of_robot in of_robots.items() for tag in of_robot.tags}
+            tag: name for name, of_robot in settings.of_robots.items() for tag in of_robot.tags}
         self.robots = {
-            name: RobotSettings(name, id_, base_frame=of_robots[name].base_frame)
+            name: RobotSettings(name, id_, base_frame=settings.of_robots[name].base_frame)
             for name, id_ in settings.ids().items()}
         self._ids = LandmarkIds(ids)
         # Number of names with and without ID when they were published last, and the stamp [ns].
@@ -251,7 +249,8 @@ class AdapterSession:
             if carrier == robot:
                 self._counts.reject(robot, RejectionReason.SELF_OBSERVATION)
                 continue
-            centre = objects.carrier_position(tag, self._tag_depths[carrier], self._noise)
+            depth = self._settings.of_robots[carrier].tag_depth
+            centre = objects.carrier_position(tag, depth, self._noise)
             observed = objects.planar_observation(centre, sensor, self._noise)
             self._counts.add(robot, further_tags=int(carrier in found))
             if carrier not in found or np.trace(observed.R) < np.trace(found[carrier].R):

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the detector, live or from a bag: scans and odometry in, landmarks out."""
 
-from collections import deque
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import islice
@@ -23,13 +22,10 @@ from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.front_end import RobotCounts
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
-from fej_slam_ros.ros.session.robot_detector import Condition, RobotDetector
+from fej_slam_ros.ros.session.robot_detector import RobotDetector
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
 from fej_slam_ros.ros.topic_types import (
     CLOUD, DIAGNOSTICS_TOPIC, LASER_SCAN, MARKERS_TOPIC, ODOMETRY, OUTPUT_TYPES)
-
-#: Number of radii that are stored for each robot.
-MAX_RADII = 1_000
 
 
 class DetectorSession:
@@ -44,7 +40,7 @@ class DetectorSession:
     robots : the robots by name
     topics : types of the topics that are read, by topic
     outputs : types of the topics that are published, by topic
-    radii : radii of the latest landmarks of each robot [m]
+    detectors : the detectors by robot
 
     """
 
@@ -53,12 +49,7 @@ class DetectorSession:
         self.robots = {
             name: RobotSettings(name, k) for k, name in enumerate(settings.robots, start=1)}
         self._frames = SensorFrames(self.robots, settings.tf_topics)
-        self._sensor_poses = {
-            name: of_robot.sensor_pose
-            for name, of_robot in zip(settings.robots, settings.of_robots)}
-        self._detectors = {name: RobotDetector(name, settings) for name in settings.robots}
-        self.radii: dict[str, deque[float]] = {
-            name: deque(maxlen=MAX_RADII) for name in settings.robots}
+        self.detectors = {name: RobotDetector(name, settings) for name in settings.robots}
         self.topics = {
             **{f'{name}/scan': LASER_SCAN for name in self.robots},
             **{f'{name}/odom': ODOMETRY for name in self.robots}, **self._frames.topics}
@@ -72,12 +63,12 @@ class DetectorSession:
         name, _, kind = arrived.topic.lstrip('/').rpartition('/')
         if self._frames.receive(arrived):
             return
-        if name in self._detectors and kind in {'scan', 'odom'}:
+        if name in self.detectors and kind in {'scan', 'odom'}:
             message = decoded_as(arrived, self.topics[f'{name}/{kind}'])
             if kind == 'odom':
                 self._receive_odometry(name, message, arrived.received)
             elif message is None:
-                self._detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
+                self.detectors[name].faults[ScanFault.BAD_MESSAGE] += 1
             else:
                 self._receive_scan(name, message, arrived.received)
 
@@ -94,30 +85,26 @@ class DetectorSession:
         is_more = True
         while is_more:
             is_more = False
-            for name, state in self._detectors.items():
+            for name, state in self.detectors.items():
                 for scan, landmarks in islice(state.detector.take(), 1):
                     is_more = True
                     yield from self._published(name, scan, landmarks, is_wanted)
 
     def close(self) -> Iterator[Publication]:
         """Yield what is to be published of the last scans at the end of the input."""
-        for name, state in self._detectors.items():
+        for name, state in self.detectors.items():
             for scan, landmarks in state.detector.close():
                 yield from self._published(name, scan, landmarks, lambda _: True)
 
     def counts(self) -> Iterator[RobotCounts]:
         """Yield each robot, a warning or '', and the counts of its scans and landmarks."""
-        for name, state in self._detectors.items():
+        for name, state in self.detectors.items():
             yield name, state.warning(), state.counts(self._frames.rejected.total())
-
-    def conditions(self, robot: str) -> list[Condition]:
-        """Return what users have to know of the scans of a robot, the most serious first."""
-        return [*self._detectors[robot].conditions()]
 
     def _receive_odometry(
         self, name: str, message: Message | None, received: int | None
     ) -> None:
-        state = self._detectors[name]
+        state = self.detectors[name]
         try:
             if message is None:
                 raise incoming.RejectedError(RejectionReason.BAD_MESSAGE)
@@ -132,7 +119,7 @@ class DetectorSession:
             state.timing.add_odometry(received - record.stamp)
 
     def _receive_scan(self, name: str, message: Message, received: int | None) -> None:
-        state = self._detectors[name]
+        state = self.detectors[name]
         try:
             duration = self._settings.scan_duration
             stamp, scan = laser.laser_scan(message, duration)
@@ -157,11 +144,11 @@ class DetectorSession:
         self, name: str, frame: str, scan: LaserScan
     ) -> tuple[LaserScan, Array, str]:
         """Return a scan as of an upright laser, its pose (3,), and the frame to publish in."""
-        given = self._sensor_poses[name]
+        given = self._settings.of_robots[name].sensor_pose
         if given is not None:
             return scan, np.array(given), frame
         pose, base = self._frames.pose(name, frame), self._frames.names.base(name)
-        self._detectors[name].note_laser(frame, base, is_known=pose is not None)
+        self.detectors[name].note_laser(frame, base, is_known=pose is not None)
         if pose is None:
             return scan, np.zeros(3), frame
         return *_upright(scan, pose), base
@@ -169,13 +156,13 @@ class DetectorSession:
     def _published(
         self, name: str, scan: StampedScan, landmarks: Detections, is_wanted: IsWanted
     ) -> Iterator[Publication]:
-        state, frame = self._detectors[name], scan.frame
+        state, frame = self.detectors[name], scan.frame
         mount = np.zeros(3) if frame == scan.laser else scan.mount
         C = rotation(mount[2])
         points, R = transform(mount, landmarks.points), C @ landmarks.R @ C.T
         state.landmarks += len(points)
+        state.radii.extend(landmarks.radii.tolist())
         stamp = state.stamps.of(scan.end, scan.laser)
-        self.radii[name].extend(landmarks.radii.tolist())
         yield f'{name}/landmarks', outgoing.detections(
             stamp, frame, [NO_ID] * len(points), points, R)
         if is_wanted(f'{name}/detection_markers'):

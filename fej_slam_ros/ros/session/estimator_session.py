@@ -161,9 +161,6 @@ class EstimatorSession(Session):
             robot.stamp for state in self.estimator.groups.states()
             for robot in state.robots.values()), default=None)
 
-    def _is_waiting(self) -> bool:
-        return self.estimator.sequencer.is_waiting
-
     def _publications(self, results: Iterator[StepResult]) -> Iterator[Publication]:
         begin = perf_counter()
         for result in results:

@@ -54,7 +54,7 @@ class ObjectQueue:
         self._frames = frames
         self._given = {
             robot: transform_of(*of_robot.sensor_pose)
-            for robot, of_robot in zip(settings.robots, settings.of_robots)
+            for robot, of_robot in settings.of_robots.items()
             if of_robot.sensor_pose is not None}
         self._waiting: dict[Origin, deque[ObjectScan]] = {}
         self._objects = 0

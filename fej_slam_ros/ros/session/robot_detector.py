@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The detector of one robot: counts of its input, and what users have to know of that."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterator
 from itertools import chain
 from typing import Any, NamedTuple
@@ -18,6 +18,8 @@ from fej_slam_ros.ros.session.scan_timing import ScanTiming
 #: Number of waiting scans above which processing is too slow: a laser sends fewer in the second
 #: for which a scan waits for odometry.
 MANY_WAITING = 500
+#: Number of radii of landmarks that are stored.
+MAX_RADII = 1_000
 
 
 class Condition(NamedTuple):
@@ -37,6 +39,7 @@ class RobotDetector:
         self.faults: Counter[ScanFault] = Counter()
         self.rejected_odometry: Counter[RejectionReason] = Counter()
         self.odometry = self.landmarks = 0
+        self.radii: deque[float] = deque(maxlen=MAX_RADII)  #: of the latest landmarks [m]
         self.has_frame = True  #: whether the latest scan names its frame
         self.stamps = DistinctStamps()
         self.timing = ScanTiming()

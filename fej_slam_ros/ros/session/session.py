@@ -81,7 +81,7 @@ class Session(ABC):
 
     def take(self, most: int | None = None) -> Iterator[Publication]:
         """Process the steps that are due, or at most `most`, and yield their publications."""
-        if self._is_waiting() and not self.consumer.statistics.rejections:
+        if self.consumer.is_waiting and not self.consumer.statistics.rejections:
             return iter(())
         return self._publications(islice(self.consumer.take(), most))
 
@@ -167,10 +167,6 @@ class Session(ABC):
         """Delete the files that are not complete."""
         if self._files is not None:
             self._files.discard()
-
-    @abstractmethod
-    def _is_waiting(self) -> bool:
-        """Return whether no step is due before more input."""
 
     @abstractmethod
     def _publications(self, results: Iterator[Any]) -> Iterator[Publication]:

@@ -210,9 +210,6 @@ class SmootherSession(Session):
         self.diagnostics.failed = dict.fromkeys(robots, error)
         self.log.add_solution(self.diagnostics.failed)
 
-    def _is_waiting(self) -> bool:
-        return self.team.is_waiting
-
     def _publications(self, poses: Iterator[PoseEstimate]) -> Iterator[Publication]:
         for estimate in poses:
             yield from self.outputs.of_new_pose(estimate)

@@ -301,7 +301,9 @@ def test_mostly_rejected_scans_are_named_with_their_cure():
 
 
 def test_without_scans_nothing_else_is_named():
-    assert [condition.name for condition in session_of().conditions('r1')] == ['no_scans']
+    conditions = session_of().detectors['r1'].conditions()
+
+    assert [condition.name for condition in conditions] == ['no_scans']
 
 
 def test_of_scans_with_several_faults_those_with_the_usual_one_are_counted():
