@@ -31,8 +31,9 @@ from fej_slam_ros.core.estimates import PoseEstimate, RelativePose
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array, compose, inverse
 from fej_slam_ros.core.records import (
-    AnyScan, GpsFix, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks, TruePose)
+    AnyObservation, AnyScan, GpsFix, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import Rejection
+from fej_slam_ros.detection.objects import PlanarObservation
 from fej_slam_ros.detection.records import AnyRecord, RobotLaserScan, RobotTags
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.cloud import EXACT_POINT, make_cloud
@@ -112,12 +113,12 @@ def gps_fix(record: GpsFix) -> OdometryMessage:
 
 def scan(record: Scan) -> PointCloud2:
     """Return a scan in the robot's base frame, in float64."""
-    return _observations(record, [s.id for s in record.observations])
+    return _scan(record, [s.id for s in record.observations])
 
 
 def robot_scan(record: RobotScan, robot_ids: Mapping[str, int]) -> PointCloud2:
     """Return a scan of other robots in the robot's base frame, in float64."""
-    return _observations(record, [robot_ids[s.observed] for s in record.observations])
+    return _scan(record, [robot_ids[s.observed] for s in record.observations])
 
 
 def laser_scan(record: RobotLaserScan) -> LaserScan:
@@ -262,6 +263,15 @@ def detections(
     return make_cloud(stamp, frame, _columns(ids, points, R, 'f8'))
 
 
+def stacked(
+    observations: Sequence[AnyObservation | PlanarObservation]
+) -> tuple[Array, Array]:
+    """Return points (n, 2) and covariances (n, 2, 2) of observations."""
+    return (
+        np.array([observation.z for observation in observations]).reshape(-1, 2),
+        np.array([observation.R for observation in observations]).reshape(-1, 2, 2))
+
+
 def byte_array(data: bytes) -> UInt8MultiArray:
     """Return bytes as a message."""
     return UInt8MultiArray(
@@ -273,10 +283,9 @@ def json_text(content: object) -> String:
     return String(data=json.dumps(content, sort_keys=True))
 
 
-def _observations(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
-    z = np.array([s.z for s in record.observations]).reshape(-1, 2)
-    R = np.array([s.R for s in record.observations]).reshape(-1, 2, 2)
-    return make_cloud(record.stamp, f'{record.robot}/base_link', _columns(ids, z, R, 'f8'))
+def _scan(record: AnyScan, ids: Sequence[int]) -> PointCloud2:
+    frame = f'{record.robot}/base_link'
+    return detections(record.stamp, frame, ids, *stacked(record.observations))
 
 
 def _columns(

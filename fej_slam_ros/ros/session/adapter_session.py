@@ -199,7 +199,7 @@ class AdapterSession:
                 robot, [item for item in near if self._carrier(item.name)], sensor).items()])
         self._counts.add(robot, messages=1, landmarks=len(landmarks), robots=len(robots))
         frame, ids = self._frames.names.base(robot), [id_ for id_, _, _ in landmarks]
-        points, R = _stacked([observation for _, _, observation in landmarks])
+        points, R = outgoing.stacked([observation for _, _, observation in landmarks])
         stamp = scan.stamp
         if NO_ID in ids:
             stamp = self._stamps[robot].of(stamp, sensor.tobytes())
@@ -207,7 +207,7 @@ class AdapterSession:
         if robots:
             yield f'{robot}/robots', outgoing.detections(
                 scan.stamp, frame, [id_ for id_, _, _ in robots],
-                *_stacked([observation for _, _, observation in robots]))
+                *outgoing.stacked([observation for _, _, observation in robots]))
         if is_wanted(f'{robot}/detection_markers'):
             yield f'{robot}/detection_markers', markers.detection_markers(
                 scan.stamp, frame, points, R, np.zeros(len(points)),
@@ -267,7 +267,7 @@ class AdapterSession:
     ) -> list[tuple[int, str, PlanarObservation]]:
         """Return the observations that the estimator accepts, with their IDs and names."""
         faults = incoming_clouds.observation_faults(
-            *_stacked([of_one for _, _, of_one in observations]))
+            *outgoing.stacked([of_one for _, _, of_one in observations]))
         for reason in faults:
             if reason is not None:
                 self._counts.reject(robot, reason)
@@ -280,10 +280,3 @@ class AdapterSession:
             self._published_ids = version
             self._save(self._ids.by_name)
             yield LANDMARK_IDS, outgoing.json_text(self._ids.by_name)
-
-
-def _stacked(observations: list[PlanarObservation]) -> tuple[Array, Array]:
-    """Return points (n, 2) and covariances (n, 2, 2)."""
-    return (
-        np.array([observation.z for observation in observations]).reshape(-1, 2),
-        np.array([observation.R for observation in observations]).reshape(-1, 2, 2))

@@ -43,9 +43,7 @@ class FrameNames:
 
     def __init__(self, team: Team, settings: NodeSettings) -> None:
         self._team = team
-        self._map_frame = settings.map_frame
-        self._share_tf = settings.shares_tf()
-        self._tf_topics = settings.tf_topics
+        self._settings = settings
         # Frames in the odometry of each robot: the first and the newest one, and all child frames.
         self._odometry: dict[str, str] = {}
         self._newest: dict[str, str] = {}
@@ -53,7 +51,7 @@ class FrameNames:
 
     def static_topics(self, robot: str) -> list[str]:
         """Return the topics of the static transforms of a robot, its own first."""
-        return transform_topics(self._tf_topics, robot, STATIC_TF)
+        return transform_topics(self._settings.tf_topics, robot, STATIC_TF)
 
     def add(self, robot: str, odometry: Message) -> None:
         """Record the frames of an odometry message."""
@@ -69,7 +67,7 @@ class FrameNames:
 
     def published(self, frame: str) -> str:
         """Return the name of a frame of estimates in messages."""
-        return self._map_frame if frame == MAP else frame
+        return self._settings.map_frame if frame == MAP else frame
 
     def renamed(self, estimate: PoseEstimate) -> PoseEstimate:
         """Return an estimate with the name of its frame in messages."""
@@ -138,11 +136,11 @@ class FrameNames:
             self._children[robot].update(names)
 
     def _maps(self, robot: str) -> set[str]:
-        return {self._map_frame, own_frame(robot)}
+        return {self._settings.map_frame, own_frame(robot)}
 
     def _others(self, robot: str) -> Iterator[str]:
         """Yield the robots whose frames must have other names."""
-        if self._share_tf:
+        if self._settings.shares_tf():
             yield from (other for other in self._team.robots if other != robot)
 
     def _odometry_name(self, robot: str) -> str:

@@ -168,7 +168,7 @@ class Inputs:
         """Pass on a message on a topic of a robot, and note whether it is rejected."""
         statistics = self._consumer.statistics
         rejected_before = statistics.rejected.get(name, 0)
-        if not self._is_too_large(name, kind, arrived):
+        if not self._reject_too_large(name, kind, arrived):
             message = self._decoded(name, arrived, self.robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
@@ -183,7 +183,7 @@ class Inputs:
             self._reject(name, arrived.received or 0, RejectionReason.BAD_MESSAGE)
         return message
 
-    def _is_too_large(self, name: str, kind: str, arrived: RawMessage) -> bool:
+    def _reject_too_large(self, name: str, kind: str, arrived: RawMessage) -> bool:
         """Reject a scan of too many points, by its header; return whether it has."""
         if arrived.type_name != CLOUD or self.robot_topics[kind] != CLOUD:
             return False
@@ -207,25 +207,20 @@ class Inputs:
             self.health.receive_delay(robot.name, kind, received - stamp)
         try:
             if kind == 'odom':
-                self._receive_odometry(robot, message, received)
+                for admitted in self.start_check.admit(_arrived(message, robot.name, received)):
+                    self._add_odometry(admitted)
             elif kind == 'ground_truth':
                 self.time_jump_detector.add(incoming.true_pose(message, robot.name), received)
             elif kind == 'set_pose':
                 prior = incoming.pose_prior(message, robot.name, self._map_frame)
                 if self.time_jump_detector.add(prior, received):
                     self.health.receive_pose_prior(robot.name, stamp)
+            elif (mounted := self._mounted(robot, message.header.frame_id)) is not None:
+                self._receive_scan(kind, mounted, message, received)
             else:
-                mounted = self._mounted(kind, robot, message, received)
-                if mounted is not None:
-                    self._receive_scan(kind, mounted, message, received)
+                self._let_wait(kind, robot.name, message, received)
         except incoming.RejectedError as rejected:
             self._reject(robot.name, stamp, rejected.reason)
-
-    def _receive_odometry(
-        self, robot: RobotSettings, message: Message, received: int | None
-    ) -> None:
-        for admitted in self.start_check.admit(_arrived(message, robot.name, received)):
-            self._add_odometry(admitted)
 
     def _add_odometry(self, arrived: ArrivedOdometry) -> None:
         record, message, received = arrived
@@ -241,25 +236,22 @@ class Inputs:
         for kind, cloud, received_earlier in self._waiting_scans.pop(record.robot, []):
             self._pass_on(kind, robot, cloud, received_earlier)
 
-    def _mounted(
-        self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
-    ) -> RobotSettings | None:
-        """Return a robot with the pose of the sensor of a cloud; store it while unknown."""
-        frame = cloud.header.frame_id.lstrip('/')
-        of_sensor = (robot.sensor_frame or '').lstrip('/')
+    def _mounted(self, robot: RobotSettings, frame: str) -> RobotSettings | None:
+        """Return a robot with the pose of the sensor of a frame, None if that is unknown."""
+        frame, of_sensor = frame.lstrip('/'), (robot.sensor_frame or '').lstrip('/')
         if frame == of_sensor or self.frames.is_base(robot.name, frame):
             return robot
         pose = self._mounts.pose(robot.name, frame)
-        if pose is not None:
-            return replace(robot, sensor_pose=incoming.planar_mount(pose))
-        # Before the first odometry, its child frame is unknown.
-        waiting = self._waiting_scans[robot.name]
+        return None if pose is None else replace(robot, sensor_pose=incoming.planar_mount(pose))
+
+    def _let_wait(self, kind: str, robot: str, cloud: Message, received: int | None) -> None:
+        """Store a scan until the first odometry, whose child frame is unknown before."""
+        waiting = self._waiting_scans[robot]
         size = len(cloud.data) + sum(len(other.data) for _, other, _ in waiting)
         is_full = len(waiting) >= MAX_WAITING_SCANS or size > MAX_WAITING_BYTES
-        if self.frames.knows_base(robot.name) or is_full:
+        if self.frames.knows_base(robot) or is_full:
             raise incoming.RejectedError(RejectionReason.WRONG_FRAME)
         waiting.append((kind, cloud, received))
-        return None
 
     def _receive_scan(
         self, kind: str, robot: RobotSettings, cloud: Message, received: int | None
