@@ -11,13 +11,17 @@ import pytest
 from scipy.optimize import least_squares as scipy_least_squares
 
 from fej_slam_ros.core.csam import maps
-from fej_slam_ros.core.csam.base_node import align, square_root_information
+from fej_slam_ros.core.csam.base_node import (
+    align, RendezvousObservations, square_root_information)
 from fej_slam_ros.core.csam.join_rules import JoinRules
-from fej_slam_ros.core.csam.maps import JointMap
+from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.smoothing.factors import (
+    LandmarkFactors, OdometryFactors, stacked, Values)
+from fej_slam_ros.core.smoothing.problem import Problem
 from helpers.core import turn
 from helpers.csam import in_another_frame, Met, R_ROBOT, rendezvous_of, true_base_node
 
@@ -177,6 +181,37 @@ def test_neither_of_two_observations_can_be_tested():
         found = aligned(Met(1, [(0, 1, 0), (1, 0, 0)]))
 
     assert_array_equal(found.d2, 0.0)
+
+
+def by_odometry(poses, sigma):
+    """Return the information of a map of odometry only about all its poses."""
+    increments = stacked(OdometryFactors, [
+        (k, k + 1, between(*poses[k:k + 2]), sigma**2 * np.eye(3)) for k in range(len(poses) - 1)])
+    problem = Problem(increments, stacked(LandmarkFactors, ()))
+    local = LocalMap('', problem, Values(poses, np.zeros((0, 2))), ())
+    return JointMap.unsolved(local).rendezvous_information(np.arange(len(poses)))
+
+
+@pytest.mark.parametrize('sigma', [1e-2, 1e-6, 1e-10])
+def test_the_observation_that_determines_the_heading_alone_is_not_taken_for_the_outlier(sigma):
+    # r1 drives around r2, which stands, as its odometry knows, and only at the end drives on.
+    along, rows = np.linspace(0.0, 3.0, 21), np.arange(21)
+    around = np.column_stack([3.0 * np.cos(along), 3.0 * np.sin(along), along + np.pi / 2.0])
+    standing = np.zeros((21, 3))
+    standing[-1, 0] = 15.0
+    p, q = by_odometry(around, 1e-3), by_odometry(standing, sigma)
+    z = np.array([turn(a[2]).T @ (b - a)[:2] for a, b in zip(around, standing)])
+    z[4, 0] += 0.8
+
+    with np.errstate(all='raise'):
+        found = [
+            align(p, q, RendezvousObservations(
+                rows, rows, np.ones(21, bool),
+                z + 0.1 * np.random.default_rng(seed).normal(size=z.shape),
+                np.tile(0.01 * np.eye(2), (21, 1, 1))))
+            for seed in range(20)]
+
+    assert [np.argmax(alignment.d2) for alignment in found] == [4] * 20
 
 
 def test_observations_at_one_position_do_not_determine_the_heading():
