@@ -22,9 +22,9 @@ MIN_OTHERS = 2
 
 def note_accepted(innovation: Innovation, statistics: StatisticsByRobot) -> None:
     """
-    Note on each landmark that an update has used an observation of it, under every policy.
+    Note the accepted observations on their landmarks, whatever `moved_landmarks` is.
 
-    One by a robot that is not suspected ends the evidence that the landmark was moved.
+    Those by robots that are not suspected end the evidence that a landmark was moved.
 
     """
     suspected = suspected_robots(statistics)
