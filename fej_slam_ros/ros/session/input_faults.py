@@ -87,24 +87,24 @@ class RobotInput:
 
     robot: str  #: its name
     now: int  #: time of the report [ns]
-    health: InputHealth  #: of the team
+    team: InputHealth  #: health of the input of all robots
     #: whether the robot needs observations to get into ``map``
     needs_observations: bool
     #: publishers on the topics of the team, by relative name, empty if unknown
     publishers: Mapping[str, TopicPublishers]
 
     @property
-    def own_health(self) -> RobotHealth:
+    def health(self) -> RobotHealth:
         """Return the health of the input of the robot."""
-        return self.health.robots[self.robot]
+        return self.team.robots[self.robot]
 
     def flow(self, kind: str) -> TopicFlow:
         """Return the messages on a topic of the robot."""
-        return self.own_health.flows[kind]
+        return self.health.flows[kind]
 
     def has_stopped(self, kind: str) -> bool:
         """Return whether a topic that sent messages has stopped."""
-        return self.flow(kind).has_stopped(self.now, self.health.stale_after)
+        return self.flow(kind).has_stopped(self.now, self.team.stale_after)
 
     def topic(self, kind: str) -> str:
         """Return the name of a topic."""
@@ -206,14 +206,14 @@ def _other_clock(given: RobotInput) -> Iterator[Fault]:
 
 
 def _unmoved(given: RobotInput) -> Iterator[Fault]:
-    if given.own_health.unmoved >= UNMOVED_MESSAGES:
+    if given.health.unmoved >= UNMOVED_MESSAGES:
         yield Fault(Level.ERROR, (
             f'{given.topic("odom")} has velocities, but its pose never changes: integrate them'
             ' into pose.pose, only poses are used'))
 
 
 def _exact_odometry(given: RobotInput) -> Iterator[Fault]:
-    if given.own_health.exact >= EXACT_MESSAGES:
+    if given.health.exact >= EXACT_MESSAGES:
         yield Fault(Level.WARN, (
             f'{given.topic("odom")} has almost no variance of vx or wz in twist.covariance, so'
             ' that observations hardly correct it: fill in vx, vy and wz, or leave them zero'))
@@ -241,14 +241,14 @@ def _too_frequent(given: RobotInput) -> Iterator[Fault]:
 
 
 def _beyond_limits(given: RobotInput) -> Iterator[Fault]:
-    beyond = given.own_health.observations.recently_rejected()
+    beyond = given.health.observations.recently_rejected()
     for reason, sentence in LIMITS.items():
         if beyond[reason]:
             yield Fault(Level.ERROR, sentence.format(n=beyond[reason]))
 
 
 def _mostly_gated(given: RobotInput) -> Iterator[Fault]:
-    gated, total = given.own_health.observations.gated()
+    gated, total = given.health.observations.gated()
     if total >= MIN_GATE_SAMPLE and gated > GATED_WARN * total:
         level = Level.ERROR if gated > GATED_ERROR * total else Level.WARN
         yield Fault(level, (
@@ -257,13 +257,13 @@ def _mostly_gated(given: RobotInput) -> Iterator[Fault]:
 
 
 def _none_used(given: RobotInput) -> Iterator[Fault]:
-    use = given.own_health.observations
-    patience = max(MIN_UNUSED_TIME, 2 * given.health.longest_lead)
+    use = given.health.observations
+    patience = max(MIN_UNUSED_TIME, 2 * given.team.longest_lead)
     if (use.unused_since is None or given.now - use.unused_since < patience
             or use.unused_observations < MIN_UNUSED):
         return
     reasons = [reasons_in_words(use.unused_reasons)] if use.unused_reasons else []
-    waiting = given.health.waiting(given.robot)
+    waiting = given.team.waiting(given.robot)
     if waiting >= MIN_UNUSED:
         reasons.append(f'{waiting} messages wait for later odometry')
     if not any(_mostly_gated(given)):
@@ -274,11 +274,11 @@ def _none_used(given: RobotInput) -> Iterator[Fault]:
 
 
 def _delays_others(given: RobotInput) -> Iterator[Fault]:
-    lag = given.own_health.lag()
+    lag = given.health.lag()
     if lag <= MAX_LAG:
         return
     gaps = [
-        health.flows['odom'].usual_gap() for name, health in given.health.robots.items()
+        health.flows['odom'].usual_gap() for name, health in given.team.robots.items()
         if health.newest is not None and name != given.robot]
     if gaps and lag > NORMAL_LAG_RATIO * min(gaps):
         yield Fault(Level.WARN, (
