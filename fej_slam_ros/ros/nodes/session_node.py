@@ -189,8 +189,7 @@ class SessionNode(SettingsNode):
 
     def _change_parameters(self, values: Mapping[str, Any]) -> None:
         """Change the parameters of the node, or raise a UserError before any is changed."""
-        checked = parameters.checked_changes(
-            self._settings, self._robot_names(), values, self.audience)
+        checked = parameters.checked_changes(self._settings, values, self.audience)
         node = parameters.with_node_values(self._settings.node, checked)
         estimation = self._changed_estimation({
             name: value for name, value in checked.items()

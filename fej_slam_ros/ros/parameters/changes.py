@@ -58,17 +58,11 @@ def rejection(
 
 
 def checked_changes(
-    settings: RunSettings, robots: Sequence[str], values: Mapping[str, object],
-    audience: Audience = ESTIMATOR,
+    settings: RunSettings, values: Mapping[str, object], audience: Audience = ESTIMATOR
 ) -> dict[str, Any]:
-    """Return the new values of some parameters as the settings store them, if they may change."""
-    known = known_parameters(robots, audience)
-    changeable = changeable_parameters(robots, audience)
-    for name in values:
-        reason = rejection(name, known, changeable)
-        if reason is not None:
-            raise UsageError(reason)
-    checked = checked_values(values, known)
+    """Return new values of changeable parameters as the settings store them, if they are valid."""
+    robots = [robot.name for robot in settings.estimation.robots]
+    checked = checked_values(values, known_parameters(robots, audience))
     node = with_node_values(settings.node, checked)
     check_files(replace(settings, node=node))
     if audience is SMOOTHER and node.peers:
@@ -110,13 +104,14 @@ def changed_team(
     of the team in the settings at present.
 
     """
+    names = robot_names(value)
     known = {robot.name: robot for robot in settings.robots} | dict(robots)
-    for name in robot_names(value):
+    for name in names:
         if name not in known:
             known[name] = RobotSettings(
                 name, 1 + max(robot.id for robot in known.values()),
                 **{field: getattr(settings, field) for field in parameters_of(NoiseSettings)})
-    return [known[name] for name in robot_names(value)]
+    return [known[name] for name in names]
 
 
 def changed_peers(

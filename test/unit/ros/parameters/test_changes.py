@@ -49,13 +49,13 @@ def test_an_old_name_is_answered_with_the_new_one():
 
 def test_values_are_checked_together_before_any_is_used():
     with pytest.raises(UsageError, match="'gate_probability' must be a number above 0"):
-        checked_changes(SETTINGS, TEAM, {'map_period': 2.0, 'gate_probability': -1.0})
+        checked_changes(SETTINGS, {'map_period': 2.0, 'gate_probability': -1.0})
 
 
 def test_a_smoother_with_peers_takes_no_period_of_checkpoints_with_which_it_could_not_start():
     settings = parse({'robots': ['r1'], 'peers': ['r2']})
 
     with pytest.raises(UsageError, match="'autosave_period' is not for a smoother with 'peers'"):
-        checked_changes(settings, TEAM, {'autosave_period': 1.0}, SMOOTHER)
+        checked_changes(settings, {'autosave_period': 1.0}, SMOOTHER)
 
-    assert checked_changes(settings, TEAM, {'autosave_period': 0.0}, SMOOTHER)
+    assert checked_changes(settings, {'autosave_period': 0.0}, SMOOTHER)
