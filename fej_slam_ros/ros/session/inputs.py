@@ -245,7 +245,7 @@ class Inputs:
         return None if pose is None else replace(robot, sensor_pose=incoming.planar_mount(pose))
 
     def _let_wait(self, kind: str, robot: str, cloud: Message, received: int | None) -> None:
-        """Store a scan until the first odometry, whose child frame is unknown before."""
+        """Store a scan until odometry names the base frame; after that its frame is wrong."""
         waiting = self._waiting_scans[robot]
         size = len(cloud.data) + sum(len(other.data) for _, other, _ in waiting)
         is_full = len(waiting) >= MAX_WAITING_SCANS or size > MAX_WAITING_BYTES
