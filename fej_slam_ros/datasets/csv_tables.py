@@ -205,8 +205,13 @@ def _odometry(cells: Cells) -> Odometry:
 def _landmark(cells: Cells) -> tuple[Event, Observation | None]:
     if _is_empty(cells, 'id'):
         return _event(cells), None
-    landmark = integer(cells, 'id') if cells['id'] else NO_ID
+    landmark = _id(cells) if cells['id'] else NO_ID
     return _event(cells), Observation(checked_landmark_id(landmark, NO_ID), *_point(cells))
+
+
+def _id(cells: Cells) -> int:
+    """Return the ID in a row; pandas writes 4 as 4.0 if another row has none."""
+    return integer({**cells, 'id': (cells['id'] or '').removesuffix('.0')}, 'id')
 
 
 def _robot(cells: Cells) -> tuple[Event, RobotObservation | None]:
@@ -234,7 +239,7 @@ def _true_pose(cells: Cells) -> TruePose:
 
 def _true_landmark(cells: Cells) -> tuple[int, Array]:
     return (
-        checked_landmark_id(integer(cells, 'id')), np.array(finite_numbers(cells, POINT[:2])))
+        checked_landmark_id(_id(cells)), np.array(finite_numbers(cells, POINT[:2])))
 
 
 def _point(cells: Cells) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
@@ -33,6 +34,12 @@ from fej_slam_ros.ros.topic_types import expected_topics, OBSERVATION_TOPICS
 #: Findings that a time jump explains; they are left out beside it.
 EFFECTS_OF_TIME_JUMPS = {
     'delayed', 'stamps_go_back', 'clock_drift', 'clock_skew', 'clock_offset'}
+
+#: Findings that any error may explain.
+EFFECTS_OF_ERRORS = {RejectionReason.NOT_JOINED.value, 'restarted'}
+
+#: Findings on odometry that explain the rejection of its motion.
+FAULTS_OF_ODOMETRY = {'jump', 'speed'}
 
 #: Findings that a team without any landmark explains.
 EFFECTS_OF_NO_LANDMARKS = {'never_joins', 'blind_anchor'}
@@ -60,10 +67,9 @@ def examine(
             survey.add(message)
         trial.receive(message)
     trial.close()
-    other = _with_other_ids(settings, trial, messages)
-    used = trial if other is None else other
+    wrong, used = _wrong_settings(settings, trial, messages)
     findings = [
-        *([] if other is None or given is None else [_wrong_ids(settings.estimation)]),
+        *(wrong if given is not None else ()),
         *storage.check(path, names),
         *topics.check(
             bag_topics, team_names, settings.estimation.initialpose_robot, recorded),
@@ -76,32 +82,42 @@ def examine(
         key=lambda finding: finding.severity is not Severity.ERROR)
 
 
-def _with_other_ids(
+def _wrong_settings(
     settings: RunSettings, trial: Trial, messages: Callable[[], Iterable[RawMessage]]
-) -> Trial | None:
-    """Return a trial with the other kind of landmark IDs if only that is consistent."""
+) -> tuple[list[Finding], Trial]:
+    """Return the setting with another of which alone the trial is consistent, and that trial."""
     estimation = settings.estimation
     is_alone = len(estimation.robots) == 1
     if is_alone or settings.node.prior_landmarks or team.is_consistent(trial):
-        return None
-    other = Trial(
-        replace(estimation, shared_landmark_ids=not estimation.shared_landmark_ids),
-        settings.node)
-    for message in messages():
-        other.receive(message)
-    other.close()
-    return other if team.is_consistent(other) else None
+        return [], trial
+    for finding, others in _other_settings(estimation):
+        other = Trial(others, settings.node)
+        for message in messages():
+            other.receive(message)
+        other.close()
+        if team.is_consistent(other):
+            return [finding], other
+    return [], trial
 
 
-def _wrong_ids(given: Settings) -> Finding:
-    """Return the finding that landmark IDs are of the other kind than the settings say."""
+def _other_settings(given: Settings) -> Iterator[tuple[Finding, Settings]]:
+    """Yield other settings, with the finding that only they are right."""
+    placed = [robot.name for robot in given.robots if robot.start_pose is not None]
+    if placed:
+        yield error(
+            'wrong_start', ', '.join(placed),
+            'the start poses contradict the observations: all fit without them',
+            'correct start_pose, give an honest start_sigma, or leave both out'
+        ), replace(given, robots=tuple(
+            replace(robot, start_pose=None) for robot in given.robots))
     kind, value = (
         ("each robot's own", 'false') if given.shared_landmark_ids else
         ('shared by all robots', 'true'))
-    return error(
+    yield error(
         'wrong_ids', 'all robots',
         f'landmark IDs seem to be {kind}: only then do the observations fit',
-        f'set the parameter shared_landmark_ids to {value}')
+        f'set the parameter shared_landmark_ids to {value}'
+    ), replace(given, shared_landmark_ids=not given.shared_landmark_ids)
 
 
 def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
@@ -110,13 +126,17 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
     explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in names else set()
     if names['no_landmarks'] == robots:
         explained |= EFFECTS_OF_NO_LANDMARKS
+    if any(finding.severity is Severity.ERROR for finding in findings):
+        explained |= EFFECTS_OF_ERRORS
     # A detector that rejects all scans of a robot writes no landmarks.
-    without_scans = {
-        f'{finding.where.removesuffix("/scan")}/landmarks' for finding in findings
-        if finding.name == 'scans_rejected'}
+    explained_at = {
+        ('no_landmarks', f'{finding.where.removesuffix("/scan")}/landmarks')
+        for finding in findings if finding.name == 'scans_rejected'} | {
+        (RejectionReason.IMPOSSIBLE_MOTION.value, finding.where)
+        for finding in findings if finding.name in FAULTS_OF_ODOMETRY}
     return (
         finding for finding in findings if finding.name not in explained
-        and not (finding.name == 'no_landmarks' and finding.where in without_scans))
+        and (finding.name, finding.where) not in explained_at)
 
 
 def _check_messages(

@@ -22,7 +22,7 @@ JUMP_NEIGHBOURS = 11
 JUMP_FACTOR = 2.0
 JUMP_MARGIN = np.array([1.0, 2.0])
 #: Upper bound of the median speed [m/s, rad/s]; above it, units are wrong.
-MAX_MEDIAN_SPEED = np.array([50.0, 80.0])
+MAX_MEDIAN_SPEED = np.array([50.0, 10.0])
 #: Standard deviations of vx, vy, wz [m/s, m/s, rad/s] above which odometry contributes nothing:
 #: drivers fill in variances of 1e3 or more where they know none.
 MAX_SPEED_SIGMA = np.array([30.0, 30.0, 30.0])
@@ -50,7 +50,8 @@ def _motion(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Fin
         yield error(
             'speed', where,
             f'its median speed is {median_speed[0]:.3g} m/s and {median_speed[1]:.3g} rad/s',
-            'give metres, radians and seconds (REP-103), from the driver of one robot only',
+            'give metres, radians (yaw in degrees?) and seconds (REP-103), from the driver of one'
+            ' robot only',
             len(stamps), int(stamps[0, 0]))
         return
     usual = np.maximum(

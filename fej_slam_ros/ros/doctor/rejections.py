@@ -76,6 +76,10 @@ CURES: dict[Reason, tuple[str, str]] = {
         'set_pose for a robot that joined `map` at the same step', 'give the pose again'),
     Reason.DOES_NOT_FIT: (
         'set_pose that contradicts the observations', 'give the pose of the robot in map'),
+    Reason.IMPOSSIBLE_MOTION: (
+        'motion that no robot can have driven', (
+            'give metres, radians (yaw in degrees?) and seconds, from one driver without resets;'
+            ' raise {robot}.max_speed or {robot}.max_turn_rate for a faster robot')),
     Reason.NOT_JOINED: (
         'repeated observation of a robot at rest', 'move it, to determine its heading'),
 }

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
+from fej_slam_ros.ros.doctor.findings import counted, error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.session.estimator_diagnostics import NIS_ERROR
@@ -38,6 +38,18 @@ def _repeated_poses(trial: Trial) -> Iterator[Finding]:
                 ' make the robot less accurate', len(stamps), min(stamps))
 
 
+def _restarts(robot: str, trial: Trial) -> Iterator[Finding]:
+    """Yield that a robot restarted in its own frame, unless poses were given for that."""
+    statistics = trial.estimator.statistics
+    count = statistics.relocalized[robot]
+    if count and not statistics.pose_priors_used[robot]:
+        yield warning(
+            'restarted', robot,
+            f'it restarted in its own frame {counted(count, "time")}, the last one:'
+            f' {statistics.restart_reasons[robot]}',
+            f'check {robot}.start_pose and {robot}.start_sigma, and its odometry there', count)
+
+
 def is_consistent(trial: Trial) -> bool:
     """Return whether all robots joined one map in which most observations pass the gate."""
     groups = trial.estimator.groups
@@ -63,6 +75,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
             'choose another robot for the parameter anchor, or check its detector')
     yield from _repeated_poses(trial)
     for name in trial.estimator.robots:
+        yield from _restarts(name, trial)
         yield from _contradictions(name, survey, trial)
         yield from _nis(name, trial)
     moved = trial.estimator.groups.moved_landmarks()

@@ -17,10 +17,10 @@ from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.topic_types import INITIALPOSE
 
 #: Reasons of observations that do not fit, and all that concern the whole run rather than single
-#: messages; jumps of odometry have a finding of their own.
+#: messages.
 FIT_REASONS = {Reason.GATED, Reason.MOVED_LANDMARK, Reason.DOUBTFUL_MATCH}
 REASONS_OF_THE_RUN = {
-    *FIT_REASONS, Reason.LOST_ROBOT, Reason.IMPOSSIBLE_MOTION, Reason.INTERRUPTED, Reason.OVERLOAD}
+    *FIT_REASONS, Reason.LOST_ROBOT, Reason.INTERRUPTED, Reason.OVERLOAD}
 #: Reasons that determine the topic: robot observations, and any scan.
 ROBOT_REASONS = {Reason.OTHER_ROBOT_STALE, Reason.NOT_JOINED, Reason.SELF_OBSERVATION}
 SCAN_REASONS = {
@@ -100,6 +100,8 @@ class Trial:
                 self.gate_failures[rejection.robot, rejection.id] += 1
 
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:
+        if rejection.reason is Reason.IMPOSSIBLE_MOTION:
+            return f'{rejection.robot}/odom'
         of_scan = rejection.reason in SCAN_REASONS
         if arrived is not None:
             # Odometry also releases scans, which may be rejected then.

@@ -61,6 +61,7 @@ def collect(
     """
     collector = RecordCollector(settings.estimation, needs_ids)
     inputs = Inputs(collector, replace(settings.node, on_time_jump='refuse'))
+    inputs.initialpose_robot = settings.estimation.initialpose_robot
     for message in messages:
         inputs.receive(message)
     inputs.close()

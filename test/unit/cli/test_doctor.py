@@ -12,10 +12,9 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.doctor.rejections import CURES
 from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from helpers.faults import (
-    at, BAGS, both, columns, crowded, delayed, each, entries, floating_ids, framed, kept, looped,
-    moved, NS, of_type_pose, out_of_order, planted, recorded_late, scaled, shifted,
-    turned, twice, twist_covariance, with_pose, with_poses,
-    without)
+    at, BAGS, both, columns, crowded, delayed, each, entries, floating_ids, framed, kept,
+    looped, moved, NS, of_type_pose, out_of_order, planted, recorded_late, scaled, shifted,
+    turned, twice, twist_covariance, with_pose, with_poses, without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
@@ -305,6 +304,30 @@ def test_landmark_ids_that_are_not_shared_are_recognised(doctor, tmp_path):
 
     assert (status, [f['name'] for f in found]) == (1, ['wrong_ids'])
     assert 'set the parameter shared_landmark_ids to false' in printed.out
+
+
+@pytest.mark.parametrize(('unseen', 'start', 'sigma', 'name', 'status'), [
+    # r2 starts at (0, -18.5, 0): it turns the map with its wrong heading, or is lost.
+    (25, [0.0, -18.5, 0.4], 0.02, 'wrong_start', 1), (1, [9.0, 9.0, 2.0], 0.0, 'restarted', 0)])
+def test_a_wrong_start_pose_is_named(doctor, tmp_path, unseen, start, sigma, name, status):
+    path = planted(tmp_path / 'late', without('r2/landmarks', slice(unseen))(entries(C)))
+    params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'], **{
+        'r2.start_pose': start, 'r2.start_sigma': [sigma] * 3})
+
+    got, found, printed = doctor(path, '--params', params)
+
+    assert (got, [f['name'] for f in found]) == (status, [name])
+    assert 'start_pose' in printed.out
+
+
+def test_motion_beyond_the_limits_of_a_robot_is_named(doctor, tmp_path):
+    params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'], **{
+        'r2.max_speed': 0.1})
+
+    status, found, _ = doctor(BAGS / C, '--params', params)
+
+    assert status == 1
+    assert has_finding(found, 'impossible_motion', 'r2/odom', 'r2.max_speed')
 
 
 def test_a_robot_that_is_not_in_the_bag_is_reported(doctor, tmp_path):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`export`: graphs and tables of a bag, which `convert` makes a bag with the same estimates of."""
 
+from dataclasses import replace
 import json
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.records import (
-    Observation, Odometry, RobotObservation, RobotScan, Scan)
+    Observation, Odometry, PosePrior, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import is_installed, optional
@@ -148,6 +149,21 @@ def test_what_is_applied_to_the_data_is_left_out_of_their_parameters(tmp_path):
     assert left == {
         'g2o': {'max_delay'} | ids,
         'csv': applied.keys() - {'r1.sensor_pose'} | ids}
+
+
+def test_poses_on_initialpose_are_those_of_their_robot(tmp_path):
+    prior = raw_record(PosePrior('r2', 10**9, np.array([1.0, 2.0, 0.5]), 0.1 * np.eye(3)))
+    write_bag(tmp_path / 'bag', [
+        *(raw_record(odometry(robot, 1000)) for robot in ('r1', 'r2')),
+        replace(prior, topic='initialpose')])
+    params = write_parameters(
+        tmp_path / 'p.yaml', robots=['r1', 'r2'], initialpose_robot='r2')
+
+    assert run_verb(
+        'export', 'csv', tmp_path / 'bag', '--params', params, '--output', tmp_path / 'csv') == 0
+
+    row, = csv_rows(tmp_path / 'csv' / 'pose_priors.csv')
+    assert (row['robot'], float(row['y'])) == ('r2', 2.0)
 
 
 def facing_team(names, cameras=1):

@@ -113,6 +113,15 @@ def test_times_in_seconds_keep_their_nanoseconds(tmp_path):
     assert records[0].stamp == 1_700_000_000_123_456_789
 
 
+def test_ids_may_be_whole_floats_or_empty_as_pandas_writes_them(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY,
+        landmarks='robot,stamp_ns,id,x,y,var_x,cov_xy,var_y\n'
+        'a,5,4.0,1,2,.1,0,.2\na,5,,1,3,.1,0,.2\n'))
+
+    assert [observation.id for observation in records[1].observations] == [4, -1]
+
+
 def test_polar_observations_become_cartesian(tmp_path):
     records = csv_tables.read(write(
         tmp_path, odometry=ODOMETRY,
@@ -159,8 +168,8 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
 @pytest.mark.parametrize(('head', 'row', 'reason'), [
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1e999999999,1,0,0,1,0,1', 'time is'),
-    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,2.0,0,0,1,0,1',
-     r"where id is '2\.0' and not an integer"),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,2.5,0,0,1,0,1',
+     r"where id is '2\.5' and not an integer"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,-1,1,0,0,1,0,1', 'its time is -1000000000 ns'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', 'its time is 30*0 ns')])
