@@ -25,8 +25,9 @@ RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
 #: Gain of the log-likelihood by a constant part of that noise from which there is one: of three
 #: standard deviations, 4.5, for errors that persist over ten observations.
 MIN_GAIN = 45.0
-#: Upper bound of the delay of a camera, and its standard deviation where no robot turns [s].
-MAX_CAMERA_DELAY, CAMERA_DELAY_SIGMA = 0.2, 0.05
+#: Upper bound of the delay of a camera, length of the intervals in each of which a minimum is
+#: sought, as the fit has several, and standard deviation of the delay where no robot turns [s].
+MAX_CAMERA_DELAY, DELAY_INTERVAL, CAMERA_DELAY_SIGMA = 0.6, 0.2, 0.05
 
 
 def bearing_offsets(
@@ -95,8 +96,10 @@ def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
         fit = count * np.square(inliers.bearings / sigma).mean() if len(inliers.bearings) else 0.0
         return float(fit + ((delay - usual) / CAMERA_DELAY_SIGMA) ** 2)
 
-    bounds = 0.0, MAX_CAMERA_DELAY
-    return float(minimize_scalar(cost, bounds=bounds, options={'xatol': 1e-3}).x)
+    found = [
+        minimize_scalar(cost, bounds=(begin, begin + DELAY_INTERVAL), options={'xatol': 1e-3})
+        for begin in np.arange(0.0, MAX_CAMERA_DELAY, DELAY_INTERVAL)]
+    return float(min(found, key=lambda minimum: minimum.fun).x)
 
 
 def without_systematic_errors(

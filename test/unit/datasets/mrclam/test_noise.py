@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.command_errors import increments
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, Noise, observations as observations_used, speeds)
@@ -198,19 +199,20 @@ def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
     np.testing.assert_allclose(used, before - offset, rtol=0.0, atol=1e-12)
 
 
-def test_the_delay_of_a_camera_is_measured_and_removed(synthetic):
+@pytest.mark.parametrize('late_by', [60_000_000, 300_000_000, 500_000_000])
+def test_the_delay_of_a_camera_is_measured_and_removed(synthetic, late_by):
     log = synthetic.logs[1]
-    late = replace(log, observations=log.observations.shifted(60_000_000))
+    late = replace(log, observations=log.observations.shifted(late_by))
 
     options = best_options(replace(synthetic, logs={1: late}))
 
     # 1,800 bearings with a standard deviation of 0.02 at turn rates of 0.23 rad/s: 0.002 s.
-    assert options.camera_delay == pytest.approx(0.06, abs=0.006)
+    assert options.camera_delay == pytest.approx(late_by / NS, abs=0.006)
     assert options.noise.bearing == pytest.approx(BEARING, rel=0.05)
     before, used = (
         observations_used(synthetic, 1, replace(options, camera_delay=delay), Counter()).stamps
-        for delay in (0.0, 0.06))
-    np.testing.assert_array_equal(used, before[:len(used)] - 60_000_000)
+        for delay in (0.0, late_by / NS))
+    np.testing.assert_array_equal(used, before[:len(used)] - late_by)
 
 
 def test_the_delay_of_a_camera_at_rest_is_the_default(tmp_path):
