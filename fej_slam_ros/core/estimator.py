@@ -245,6 +245,8 @@ class Estimator(TeamInput):
         observers = [scan.robot for scan in step.scans]
         self._quarantine.restart_lost(observers, step.stamp, self.settings.join_min_landmarks)
         self._quarantine.restart_ambiguous(observers, step.stamp)
+        self._quarantine.restart_contradicted(
+            [s.observed for scan in step.robot_scans for s in scan.observations], step.stamp)
         self._joiner.join(lost_robots.on_probation())
         lost_robots.mark_found(self.groups.team.robots)
         self.truth.keep_rendezvous_points(

@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from fej_slam_ros.core.consistency import NisMonitor
 from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import StatisticsByRobot
+from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
+from fej_slam_ros.core.ekf.state import Robot
 
 
 @dataclass(eq=False)
@@ -24,3 +25,13 @@ class InnovationMonitor:
             self.nis[robot].add(stamp, values)
         self.log_likelihood += innovation.log_likelihood()
         self.lost_robots.add(statistics)
+        for a in innovation.used:
+            self._add_observation_of_robot(a, contradicts=False)
+        for gated in innovation.rejected:
+            if gated.contradicts():
+                self._add_observation_of_robot(gated.association, contradicts=True)
+
+    def _add_observation_of_robot(self, a: Association, contradicts: bool) -> None:
+        if isinstance(a.observed, Robot):
+            self.lost_robots.add_observation_of_robot(
+                a.observer.name, a.observed.name, contradicts)

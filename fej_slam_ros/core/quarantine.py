@@ -81,6 +81,16 @@ class Quarantine:
                 self._lost_robots.restart(robot)
                 self._restart(robot, stamp, reason)
 
+    def restart_contradicted(self, robots: Iterable[str], stamp: int) -> None:
+        """Restart robots that others, whose landmarks confirm their poses, observe elsewhere."""
+        for robot in robots:
+            observations = self._lost_robots.contradictions(robot)
+            if observations:
+                remove_untrusted(self._groups.of(robot).state, robot)
+                self._restart(
+                    robot, stamp,
+                    f'{observations} observations of it in a row contradict its pose')
+
     def restart_ambiguous(self, robots: Iterable[str], stamp: int) -> None:
         """
         Restart robots whose observations without ID fit several places, if they can join again.

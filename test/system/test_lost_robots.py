@@ -7,10 +7,14 @@ Three robots drive one behind the other, the first of them gets lost: odometry j
 carried, its wheels slip, or its sensor is moved. The others follow into what it has mapped.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from helpers.lost_robots import drive, fault_at, FAULTS, HEALTHY, run, set_clock, STEP, survey
+from fej_slam_ros.core.records import Scan
+from helpers.lost_robots import (
+    drive, fault_at, FAULTS, HEALTHY, is_of_lost, LOST, run, SENSORS, set_clock, STEP, survey)
 
 #: Faults during a run, and from its start.
 DURING = [name for name in FAULTS if 'start' not in name]
@@ -44,6 +48,24 @@ def test_the_followers_of_a_lost_robot_are_where_they_would_be_without_its_fault
     assert faulty.lost_error < 0.5
     relocalized = faulty.estimator.statistics.relocalized
     assert (relocalized['r1'], relocalized['r2'], relocalized['r3']) == (0, 0, 1)
+
+
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+@pytest.mark.parametrize('fault', ['slip, 3 times', 'slip, turning'])
+def test_a_robot_that_only_others_observe_is_found_after_its_wheels_slipped(fault, kind):
+    since, rng = 150 * STEP, np.random.default_rng(1)
+    records = [
+        replace(r, observations=()) if is_of_lost(r, Scan, -1) else r
+        for r in drive(2, replace(SENSORS, robot_sigma=(0.1, 0.1), range=15.0))]
+    faulty = run(FAULTS[fault](records, since, rng), since, filter=kind)
+
+    statistics = faulty.estimator.statistics
+    assert not is_poisoned(faulty, run(records, filter=kind))
+    assert {name: statistics.relocalized[name] for name in (*HEALTHY, LOST)} == {
+        'r1': 0, 'r2': 0, LOST: 1}
+    # Nine contradictions, ten in a second, and some observations from which it joins again.
+    assert faulty.lost_share > 0.9
+    assert faulty.lost_error < 0.5
 
 
 @pytest.mark.slow

@@ -1,7 +1,12 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of lost robots: most of their scans fail the gate, or fit several places."""
+"""
+Detection of lost robots.
 
+Most of their scans fail the gate, or fit several places, or others observe them elsewhere.
+"""
+
+from collections import Counter
 from collections.abc import Container
 from dataclasses import dataclass, replace
 
@@ -24,6 +29,10 @@ MAX_INCONCLUSIVE = 10
 #: Numbers of scans and of observations without ID in a row that all fit several landmarks, after
 #: which a robot restarts. Where a robot is not lost, two such scans in a row are rare.
 AMBIGUOUS_SCANS, AMBIGUOUS_OBSERVATIONS = 5, 15
+
+#: Number of observations of a robot in a row that contradict its pose, by robots that know where
+#: they are, after which it restarts; as many as of landmarks in its own scans.
+CONTRADICTIONS_BY_OTHERS = MIN_CONTRADICTIONS
 
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
 PROBATION = 20
@@ -97,6 +106,10 @@ class LostRobotDetector:
     def __init__(self) -> None:
         self._evidence: dict[str, ScanEvidence] = {}
         self._lost: dict[str, LostRobot] = {}
+        # Whether the latest scan of known landmarks of a robot confirms its pose, and how many
+        # observations in a row, by robots of which it does, contradict that of another.
+        self._confirmed: dict[str, bool] = {}
+        self._contradictions: Counter[str] = Counter()
 
     def add(self, statistics: StatisticsByRobot) -> None:
         """Add the scans of one update."""
@@ -110,6 +123,20 @@ class LostRobotDetector:
                 self.add_inconclusive(robot)
             if robot in self._lost:
                 self._lost[robot].continue_probation(scan)
+            if scan.known:
+                self._confirmed[robot] = scan.confirms_pose()
+
+    def add_observation_of_robot(self, observer: str, observed: str, contradicts: bool) -> None:
+        """Add an observation of a robot, evidence if landmarks confirm the observer alone."""
+        if not contradicts or self._confirmed.get(observed):
+            self._contradictions.pop(observed, None)
+        elif self._confirmed.get(observer):
+            self._contradictions[observed] += 1
+
+    def contradictions(self, robot: str) -> int:
+        """Return how many observations in a row contradict a pose, 0 until they are enough."""
+        count = self._contradictions[robot]
+        return count if count >= CONTRADICTIONS_BY_OTHERS else 0
 
     def add_matches(self, robot: str, scan: ScanMatchStatistics) -> None:
         """Add a scan of observations without ID."""
@@ -151,6 +178,7 @@ class LostRobotDetector:
     def forget_scans(self, robot: str) -> None:
         """End the suspicion that a robot is lost."""
         self._evidence.pop(robot, None)
+        self._contradictions.pop(robot, None)
 
     def is_suspected(self, robot: str) -> bool:
         """Return whether most of a scan of a robot failed, and none since has cleared it."""

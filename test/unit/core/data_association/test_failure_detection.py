@@ -114,6 +114,26 @@ def test_a_robot_is_lost_after_three_failed_scans_until_one_passes():
         None]
 
 
+def test_others_contradict_a_pose_only_if_landmarks_confirm_theirs_and_not_this_one():
+    confirmed, contradicted = (
+        ScanGateStatistics(known=4, trusted=4, failed=k, trusted_failed=k) for k in (0, 3))
+
+    def contradictions(r1, r2, passed=()):
+        lost = LostRobotDetector()
+        lost.add({'r1': r1} if r2 is None else {'r1': r1, 'r2': r2})
+        for k in range(12):
+            lost.add_observation_of_robot('r1', 'r2', contradicts=k not in passed)
+        return lost.contradictions('r2')
+
+    assert contradictions(confirmed, None) == 12
+    assert contradictions(confirmed, contradicted) == 12
+    assert contradictions(confirmed, confirmed) == 0
+    assert contradictions(contradicted, None) == 0
+    # Eight in a row are not enough.
+    assert contradictions(confirmed, None, passed=[3]) == 0
+    assert contradictions(confirmed, None, passed=[2]) == 9
+
+
 @pytest.fixture(scope='module')
 def kidnapping():
     """Return a run in which r1 is carried three metres on its second loop."""
