@@ -168,7 +168,10 @@ class TeamSmoother(TeamInput):
     def not_in_map(self) -> dict[str, str]:
         """Return the reason for each robot that is not in ``map``."""
         reasons = {name: self._no_odometry(name) for name in self.robots}
-        reasons |= dict.fromkeys(self.trajectories, 'it has no rendezvous with another robot')
+        reasons |= {
+            name: 'it has no rendezvous with another robot'
+            for name, trajectory in self.trajectories.items()
+            if len(trajectory.stamps) > 1 or not self.statistics.rejected[name]}
         for pair in sorted(self._observed_pairs):
             for name, other in permutations(pair):
                 if other in self.solution.unsolved:
@@ -216,7 +219,7 @@ class TeamSmoother(TeamInput):
         return [*self.robots, *(name for name in self.trajectories if name not in self.robots)]
 
     def _no_odometry(self, name: str) -> str:
-        """Return the reason why a robot has no trajectory."""
+        """Return the reason why a robot has no trajectory, or one of a single pose."""
         rejected = self.statistics.rejection_counts[name]
         if not rejected:
             return 'it sent no odometry'

@@ -146,6 +146,17 @@ def test_ids_of_each_robot_do_not_join_maps():
     assert set(smoother.not_in_map().values()) == {'it has no rendezvous with another robot'}
 
 
+def test_a_robot_whose_odometry_is_rejected_is_told_so():
+    smoother = TeamSmoother(team())
+    # The first message has no increment, and so no covariance.
+    for k in range(5):
+        Q = np.diag([0.1, 0.0, 0.1]) if k else None
+        smoother.add(odometry('r1', 100 * k, (0.1 * k, 0.0, 0.0), Q))
+    list(smoother.close())
+
+    assert smoother.not_in_map()['r1'] == 'it sent no usable odometry: 4 bad_covariance'
+
+
 def met(smoother, steps, jump=0.0):
     """Add odometry of two robots at 10 Hz, the last of r1 after a jump [m], and what r1 sees."""
     for k in range(steps):
