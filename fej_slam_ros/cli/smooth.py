@@ -31,6 +31,8 @@ from fej_slam_ros.ros.messages.common import from_time
 from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
 from fej_slam_ros.tables import text_table
 
+#: Chi-square over its degrees of freedom above which covariances do not describe the errors.
+MAX_CHI_SQUARE_RATIO = 2.0
 BASE_NODE_HEADINGS = (
     'base node', 'frame', 'x [m]', 'y [m]', 'yaw [rad]', 'sigma x', 'sigma y', 'sigma yaw')
 MESSAGE_HEADINGS = ('message from', 'to', 'subset [B]', 'log [B]', 'map [B]', 'smallest')
@@ -92,6 +94,10 @@ def _tables(session: BagSmootherSession) -> Iterator[str]:
             f'{", ".join(solved.trajectories)} in {solved.frame}: chi-square'
             f' {solved.chi_square:.1f}, {solved.dof} degrees of freedom'
             + (f', {associated} landmarks associated' if own_ids else ''))
+        if solved.chi_square > MAX_CHI_SQUARE_RATIO * solved.dof:
+            yield (
+                f'chi-square is {solved.chi_square / solved.dof:.1f} times its degrees of freedom:'
+                ' covariances are too small, or measurements wrong; doctor names some faults')
     for failed in solution.not_joined:
         if solution.has_joined(failed.robots):
             yield f'a rendezvous of {" and ".join(failed.robots)} is left out: {failed.reason}'

@@ -151,6 +151,15 @@ def test_the_table_lists_maps_base_nodes_and_message_sizes(smooth):
     assert [line.split()[-1] for line in lines[sizes + 1:]] == ['subset', 'subset']
 
 
+@pytest.mark.parametrize(('scale', 'said_so'), [(1.0, False), (0.3, True)])
+def test_a_chi_square_far_above_its_degrees_of_freedom_is_said(smooth, scale, said_so):
+    _, said, _ = smooth(
+        CIRCLES, robots=['r1', 'r2'], odometry_noise_scale=scale, landmark_noise_scale=scale)
+
+    # Standard deviations of 0.3 of the true ones: 1 / 0.09.
+    assert ('times its degrees of freedom: covariances are too small' in said) == said_so
+
+
 def test_robots_that_did_not_meet_are_reported(smooth, places):
     status, said, _ = smooth(CIRCLES, robots=['r1', 'r2'], shared_landmark_ids=False)
 
