@@ -22,7 +22,8 @@ from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, noise, run_settings
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
+from fej_slam_ros.datasets.mrclam.conversion import (
+    ConversionOptions, MAX_COMMAND_HOLD, robot_name)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS
 from fej_slam_ros.errors import UsageError, UserError
 
@@ -30,6 +31,8 @@ SUMMARY = 'MRCLAM, five robots and their motion capture'
 
 #: Lower bound of a reported gap in odometry [s]; commands are several times as frequent.
 REPORTED_GAP = 0.4
+#: Share of the time without a command in force above which it is reported.
+REPORTED_UNKNOWN_SHARE = 0.2
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -155,6 +158,12 @@ def _report(
             f'{robot_name(robot)}: odometry: {len(log.commands)} (gaps above {REPORTED_GAP:g} s:'
             f' {(steps > REPORTED_GAP).sum()}, longest {steps.max():.1f} s),'
             f' observations: {used}, true poses: {true} of {len(log.truth)}')
+        share = steps[steps > MAX_COMMAND_HOLD / NS].sum() / steps.sum()
+        if share > REPORTED_UNKNOWN_SHARE:
+            yield (
+                f'    for {share:.0%} of the time the last command is older than'
+                f' {MAX_COMMAND_HOLD / NS:g} s, and the motion unknown: repeat commands that were'
+                ' recorded on change only')
         yield from _counted(log.counts + rejected[robot])
 
 

@@ -29,6 +29,15 @@ def convert_mrclam(bag, capsys):
     return run
 
 
+@pytest.mark.parametrize(('period', 'said_so'), [(1.0, False), (5.0, True)])
+def test_commands_that_were_recorded_on_change_only_are_named(
+        convert_mrclam, bag, period, said_so):
+    _, said, _ = convert_mrclam(
+        '--output', bag, Robot1_Odometry=[(100 + period * k, 0.1, 0.1 * k) for k in range(11)])
+
+    assert ('for 100% of the time the last command is older than 2 s' in said) == said_so
+
+
 def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mrclam, bag):
     status, said, _ = convert_mrclam(
         '--output', bag, '--motion-delay', 0,
