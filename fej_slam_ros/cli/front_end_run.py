@@ -3,7 +3,7 @@
 """Copies of bags with the landmarks that a front end adds."""
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, add_storage, parameter_help
@@ -11,8 +11,9 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.session.front_end import FrontEnd
+from fej_slam_ros.ros.session.front_end import FrontEnd, RobotCounts
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.tables import text_table
 
 
 def add_copy_arguments(
@@ -52,13 +53,24 @@ def write_copy(
             front_end.receive(message)
             _write(bag, now, front_end.take())
         _write(bag, now, front_end.close())
-    for robot, warning, values in front_end.counts():
-        counts = ', '.join(f'{name}: {n}' for name, n in values.items())
-        print(f'{robot}: {counts}' + (f'\n    {warning}' if warning else ''))
+    counts = [*front_end.counts()]
+    print(_table(counts))
+    for robot, warning, _ in counts:
+        if warning:
+            print(f'{robot}: {warning}')
     unknown = sorted({topic.type_name for topic in topics.values() if not topic.is_known})
     if unknown:
         print(f'not copied, of unknown types: {", ".join(unknown)}')
     print(f'wrote {arguments.output}')
+
+
+def _table(counts: Sequence[RobotCounts]) -> str:
+    """Return the counts that are not zero for all robots, a column for each robot."""
+    names = dict.fromkeys(name for _, _, values in counts for name in values)
+    rows = {name: [values.get(name, 0) for _, _, values in counts] for name in names}
+    return text_table(
+        ('', *(robot for robot, _, _ in counts)),
+        [(name, *map(str, row)) for name, row in rows.items() if any(row)])
 
 
 def _check_output(
