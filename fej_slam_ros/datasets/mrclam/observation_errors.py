@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 
+from fej_slam_ros.core.calibration.odometry_errors import SIGMA_PER_MEDIAN
 from fej_slam_ros.core.geometry import (
     Array, between, compose, Flags, interpolated_all, poses_at, Stamps, wrap_all)
 from fej_slam_ros.core.models import h
@@ -29,8 +30,6 @@ NEAR_TRUTH = NS // 4
 #: Range [m] and bearing errors [rad], and standard deviations, above all of which an observation
 #: is an outlier.
 OUTLIER_RANGE, OUTLIER_BEARING, OUTLIER_SIGMAS = 0.75, 0.1, 5.0
-#: Standard deviation of normal errors over the median of their sizes.
-SIGMA_PER_MEDIAN = 1.4826
 #: Standard deviations of ranges, over their median, and of bearings [rad] from which on the ground
 #: truth is wrong, and not the observations noisy.
 MAX_RELATIVE_SIGMA, MAX_BEARING_SIGMA = 0.5, 1.0
