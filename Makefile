@@ -65,7 +65,7 @@ $(VENV)/for-ros-$(ROS):
 	$(PYTHON) -m venv --clear $(VENV_OPTIONS) $(VENV)
 	touch $(VENV)/COLCON_IGNORE $@
 
-KERNEL := fej_slam_ros/core/ekf/_kernel.c
+KERNEL := fej_slam_ros/core/ekf/_kernel.c fej_slam_ros/core/ekf/_avx512.h
 
 $(DEMO_STAMP): setup.py $(KERNEL) $(VENV)/for-ros-$(ROS)
 	@echo 'Installing what the demo needs into $(VENV) ...'

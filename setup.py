@@ -31,7 +31,8 @@ if find_spec('numpy'):
     import numpy as np
 
     extensions.append(Extension(
-        f'{NAME}.core.ekf._kernel', [f'{NAME}/core/ekf/_kernel.c'], optional=True,
+        f'{NAME}.core.ekf._kernel', [f'{NAME}/core/ekf/_kernel.c'],
+        depends=[f'{NAME}/core/ekf/_avx512.h'], optional=True,
         include_dirs=[np.get_include()], extra_compile_args=['-O3', '-ffp-contract=off']))
 
 setup(

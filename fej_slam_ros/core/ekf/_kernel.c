@@ -17,6 +17,10 @@
 #include <math.h>
 #include <string.h>
 
+#if defined(__GNUC__) && defined(__x86_64__)
+#include "_avx512.h"
+#endif
+
 /* Arguments and results of a call that are arrays, and arguments that are numbers. */
 #define MAX_ARRAYS 10
 #define MAX_NUMBERS 2
@@ -632,6 +636,26 @@ static PyObject *squared_distances(PyObject *module, PyObject *const *arguments,
     return results(&a);
 }
 
+/*
+ * C -= A B^T of A (m, k) and B (n, k), all in Fortran order with these strides; if A is B, for the
+ * lower triangle of C.
+ */
+static void subtract(
+    int m, int n, int k, double *A, int A_stride, double *B, int B_stride, double *C, int C_stride)
+{
+    double one = 1.0, minus = -1.0;
+#ifdef AVX512
+    if (__builtin_cpu_supports("avx512f")) {
+        subtract_by_tiles(m, n, k, A, A_stride, B, B_stride, C, C_stride);
+        return;
+    }
+#endif
+    if (A == B)
+        dsyrk("L", "N", &n, &k, &minus, A, &A_stride, &one, C, &C_stride);
+    else
+        dgemm("N", "T", &m, &n, &k, &minus, A, &A_stride, B, &B_stride, &one, C, &C_stride);
+}
+
 /* correction(P, H, S, r, n): dx, y, W, log det S */
 static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
 {
@@ -639,6 +663,7 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
     if (!take(&a, arguments, given, "fccvn"))
         return NULL;
     double *P = data(&a, 0), *H = data(&a, 1), *L = data(&a, 2), one = 1.0, zero = 0.0;
+    double minus = -1.0;
     int stored = (int)length(&a, 0, 0), k = (int)length(&a, 0, 1), step = 1, failed_at = 0;
     int rows = (int)length(&a, 3, 0), n = (int)a.number[0];
     if (!fit(&a, is_matrix(&a, 1, rows, k) && is_matrix(&a, 2, rows, rows)
@@ -653,8 +678,9 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
     Py_BEGIN_ALLOW_THREADS
     dpotrf("L", &rows, L, &rows, &failed_at);
     if (!failed_at) {
-        dtrsm("L", "L", "N", "N", &rows, &k, &one, L, &rows, H, &rows);
-        dgemm("N", "T", &n, &rows, &k, &one, P, &stored, H, &rows, &zero, W, &n);
+        dtrsm("L", "L", "N", "N", &rows, &k, &minus, L, &rows, H, &rows);
+        memset(W, 0, (size_t)n * rows * sizeof(double));
+        subtract(n, rows, k, P, stored, H, rows, W, n);
         dtrsv("L", "N", "N", &rows, L, &rows, y, &step);
         dgemv("N", &n, &rows, &one, W, &n, y, &step, &zero, dx, &step);
         for (int i = 0; i < rows; i++)
@@ -678,7 +704,7 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
     Arrays a;
     if (!take(&a, arguments, given, "mfn"))
         return NULL;
-    double *lower = data(&a, 0), *W = data(&a, 1), one = 1.0, minus = -1.0;
+    double *lower = data(&a, 0), *W = data(&a, 1);
     int capacity = (int)length(&a, 0, 0), stored = (int)length(&a, 1, 0);
     int k = (int)length(&a, 1, 1), n = (int)a.number[0];
     if (!fit(&a, is_matrix(&a, 0, capacity, capacity) && a.number[0] >= 0
@@ -686,7 +712,7 @@ static PyObject *subtract_product(PyObject *module, PyObject *const *arguments, 
         return NULL;
 
     Py_BEGIN_ALLOW_THREADS
-    dsyrk("L", "N", &n, &k, &minus, W, &stored, &one, lower, &capacity);
+    subtract(n, n, k, W, stored, W, stored, lower, capacity);
     Py_END_ALLOW_THREADS
     release(&a);
     Py_RETURN_NONE;
