@@ -97,6 +97,7 @@ def versions() -> dict[str, str]:
     packages = [name for name in ('numpy', 'scipy', 'gtsam') if find_spec(name)]
     return {
         'processor': _processor(), 'BLAS core': _blas_core(), 'kernel': KERNEL.NAME,
+        'products': KERNEL.PRODUCTS,
         'python': platform.python_version(), **{name: version(name) for name in packages}}
 
 

@@ -11,10 +11,6 @@ odometry, or end the computation.
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-import numpy as np
-
-from fej_slam_ros.core.geometry import Array
-
 #: Maximum number of multiplications and additions of a piece: 20 ms at 25 GFlop/s of one core. No
 #: step of a map below 490 landmarks with up to 256 observations is divided.
 PIECE_FLOPS = 5e8
@@ -65,18 +61,3 @@ def ranges(count: int, size: float) -> Iterator[slice]:
         if begin:
             pause()
         yield slice(begin, min(begin + step, count))
-
-
-def product(A: Array, B: Array, may_end: bool = False) -> Array:
-    """Return A @ B, by rows of A if it is large; if it may end early, raise EndedError then."""
-    rows, inner = A.shape
-    size = PIECE_FLOPS / max(2 * inner * B.shape[1], 1)
-    if rows <= size:
-        whole: Array = A @ B
-        return whole
-    result = np.empty((rows, B.shape[1]))
-    for part in ranges(rows, size):
-        if may_end and must_end():
-            raise EndedError
-        result[part] = A[part] @ B
-    return result

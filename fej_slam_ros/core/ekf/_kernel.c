@@ -14,6 +14,7 @@
 #define NPY_NO_DEPRECATED_API NPY_1_22_API_VERSION
 #include <Python.h>
 #include <numpy/arrayobject.h>
+#include <limits.h>
 #include <math.h>
 #include <string.h>
 
@@ -636,6 +637,15 @@ static PyObject *squared_distances(PyObject *module, PyObject *const *arguments,
     return results(&a);
 }
 
+static int has_avx512(void)
+{
+#ifdef AVX512
+    return __builtin_cpu_supports("avx512f");
+#else
+    return 0;
+#endif
+}
+
 /*
  * C -= A B^T of A (m, k) and B (n, k), all in Fortran order with these strides; if A is B, for the
  * lower triangle of C.
@@ -645,7 +655,7 @@ static void subtract(
 {
     double one = 1.0, minus = -1.0;
 #ifdef AVX512
-    if (__builtin_cpu_supports("avx512f")) {
+    if (has_avx512()) {
         subtract_by_tiles(m, n, k, A, A_stride, B, B_stride, C, C_stride);
         return;
     }
@@ -696,6 +706,30 @@ static PyObject *correction(PyObject *module, PyObject *const *arguments, Py_ssi
     PyObject *returned = Py_BuildValue("OOOd", first[0], first[1], first[2], log_det);
     release(&a);
     return returned;
+}
+
+/* product(A, B): A B in C order, which is the product of B^T and A^T in Fortran order */
+static PyObject *product(PyObject *module, PyObject *const *arguments, Py_ssize_t given)
+{
+    Arrays a;
+    if (!take(&a, arguments, given, "cd"))
+        return NULL;
+    double *A = data(&a, 0), *B = data(&a, 1);
+    Py_ssize_t m = length(&a, 0, 0), k = length(&a, 0, 1), n = length(&a, 1, 1);
+    if (!fit(&a, length(&a, 1, 0) == k && m <= INT_MAX && k <= INT_MAX && n <= INT_MAX))
+        return NULL;
+    double *C = matrix(&a, m, n, 0);
+    if (!C)
+        return release(&a);
+
+    Py_BEGIN_ALLOW_THREADS
+    for (Py_ssize_t i = 0; i < m * k; i++)
+        A[i] = -A[i];
+    memset(C, 0, m * n * sizeof *C);
+    if (m && n && k)  /* BLAS refuses strides of 0 */
+        subtract((int)n, (int)m, (int)k, B, (int)n, A, (int)m, C, (int)n);
+    Py_END_ALLOW_THREADS
+    return results(&a);
 }
 
 /* subtract_product(lower, W, n) */
@@ -758,7 +792,7 @@ static PyMethodDef functions[] = {
     FUNCTION(moved), FUNCTION(Phi), FUNCTION(propagated), FUNCTION(diagonal_block),
     FUNCTION(settle), FUNCTION(stacked), FUNCTION(h), FUNCTION(H), FUNCTION(columns),
     FUNCTION(replace_columns), FUNCTION(project), FUNCTION(squared_distances),
-    FUNCTION(correction), FUNCTION(subtract_product), FUNCTION(retracted),
+    FUNCTION(correction), FUNCTION(product), FUNCTION(subtract_product), FUNCTION(retracted),
     {NULL, NULL, 0, NULL}};
 
 static struct PyModuleDef definition = {
@@ -774,5 +808,9 @@ PyMODINIT_FUNC PyInit__kernel(void)
             || !find(blas, "dtrsv", (void **)&dtrsv)
             || !find(lapack, "dpotrf", (void **)&dpotrf))
         return NULL;
-    return PyModule_Create(&definition);
+    PyObject *module = PyModule_Create(&definition);
+    if (module && PyModule_AddStringConstant(
+            module, "PRODUCTS", has_avx512() ? "AVX-512" : "BLAS"))
+        Py_CLEAR(module);
+    return module;
 }

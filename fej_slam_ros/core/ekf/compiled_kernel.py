@@ -15,11 +15,12 @@ from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS
 
 __all__ = [
-    'NAME', 'STORAGE_GROWTH', 'H', 'Phi', 'columns', 'correction', 'diagonal_block', 'h', 'moved',
-    'project', 'propagated', 'replace_columns', 'retracted', 'settle', 'squared_distances',
-    'stacked', 'subtract_product']
+    'NAME', 'PRODUCTS', 'STORAGE_GROWTH', 'H', 'Phi', 'columns', 'correction', 'diagonal_block',
+    'h', 'moved', 'product', 'project', 'propagated', 'replace_columns', 'retracted', 'settle',
+    'squared_distances', 'stacked', 'subtract_product']
 
 NAME = 'compiled'
+PRODUCTS = _kernel.PRODUCTS
 #: Share of its rows by which the storage of P grows: an update costs the rows in use only, so that
 #: storage is copied rarely.
 STORAGE_GROWTH = 0.25
@@ -30,6 +31,13 @@ def columns(lower: Array, indices: Indices) -> Array:
     if len(indices) * len(lower) > PIECE_ELEMENTS:
         return numpy_kernel.columns(lower, indices)
     return _kernel.columns(lower, indices)
+
+
+def product(A: Array, B: Array) -> Array:
+    """Return A B; in the order of a Fortran array A if this has more rows than B columns."""
+    if len(A) > B.shape[1]:
+        return _kernel.product(B.T, A.T).T
+    return _kernel.product(A, B)
 
 
 def project(

@@ -32,11 +32,12 @@ import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import (
     Correction, Covariance, joint_indices, Projection, Slot, SparseRows, Transport)
+from fej_slam_ros.core.ekf.matrix_product import product
 from fej_slam_ros.core.ekf.outside_points import OutsidePoints
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
 from fej_slam_ros.core.ekf.whitening import whiten, Whitening
 from fej_slam_ros.core.geometry import Array, Flags, Indices
-from fej_slam_ros.core.pieces import pause, PIECE_ELEMENTS, product, ranges
+from fej_slam_ros.core.pieces import pause, PIECE_ELEMENTS, ranges
 
 #: Flops of leaving a submap that take as long as one flop of an update: large products run at a
 #: higher rate, and an update has overhead.

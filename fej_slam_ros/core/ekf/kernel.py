@@ -19,7 +19,31 @@ VARIABLE = 'FEJ_SLAM_KERNEL'
 PACKAGE = __name__.rpartition('.')[0]
 
 
-class Kernel(Protocol):
+class MatrixKernel(Protocol):
+    """Functions for matrices of the size of the state."""
+
+    PRODUCTS: str
+
+    def diagonal_block(self, lower: Array, start: int, size: int) -> Array:
+        """Return the symmetric block of a variable."""
+
+    def settle(self, lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
+        """Apply a transition to the cross-covariances of a variable."""
+
+    def columns(self, lower: Array, indices: Indices) -> Array:
+        """Return full columns of a symmetric matrix."""
+
+    def replace_columns(self, lower: Array, indices: Indices, full: Array) -> None:
+        """Replace full columns of a symmetric matrix."""
+
+    def product(self, A: Array, B: Array) -> Array:
+        """Return A B."""
+
+    def subtract_product(self, lower: Array, W: Array, n: int) -> None:
+        """Subtract W W^T from a triangle in place."""
+
+
+class Kernel(MatrixKernel, Protocol):
     """Functions of a kernel; `numpy_kernel` describes them."""
 
     NAME: str
@@ -36,12 +60,6 @@ class Kernel(Protocol):
     ) -> tuple[Array, Array]:
         """Return the product of transitions and the diagonal block after the last."""
 
-    def diagonal_block(self, lower: Array, start: int, size: int) -> Array:
-        """Return the symmetric block of a variable."""
-
-    def settle(self, lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
-        """Apply a transition to the cross-covariances of a variable."""
-
     def stacked(
         self, observers: list[int], observed: list[int], z: list[Array], R: list[Array]
     ) -> tuple[Indices, Array, Array]:
@@ -52,12 +70,6 @@ class Kernel(Protocol):
 
     def H(self, x: Array) -> Array:
         """Return their Jacobians."""
-
-    def columns(self, lower: Array, indices: Indices) -> Array:
-        """Return full columns of a symmetric matrix."""
-
-    def replace_columns(self, lower: Array, indices: Indices, full: Array) -> None:
-        """Replace full columns of a symmetric matrix."""
 
     def project(
         self, lower: Array, n: int, observed: Indices, blocks: Array, R: Array
@@ -71,9 +83,6 @@ class Kernel(Protocol):
         self, P: Array, H: Array, S: Array, r: Array, n: int
     ) -> tuple[Array, Array, Array, float]:
         """Return K r, L^-1 r, P H^T L^-T and log det S."""
-
-    def subtract_product(self, lower: Array, W: Array, n: int) -> None:
-        """Subtract W W^T from a triangle in place."""
 
     def retracted(self, x: Array, dx: Array, headings: Indices) -> Array:
         """Return x + dx with wrapped headings."""

@@ -17,6 +17,8 @@ from fej_slam_ros.core.geometry import Array, Indices, wrap_all
 from fej_slam_ros.core.pieces import PIECE_ELEMENTS, ranges
 
 NAME = 'numpy'
+#: What computes the products of large matrices.
+PRODUCTS = 'BLAS'
 #: Share of its rows by which the storage of P grows: scipy's BLAS updates whole arrays in place,
 #: so that spare rows cost flops.
 STORAGE_GROWTH = 0.03
@@ -184,6 +186,12 @@ def correction(
     y: Array = dtrsv(L, r, lower=1)  # y = L^-1 r: 4 m^2
     log_det = 2.0 * sum(map(math.log, L.diagonal().tolist()))
     return W[:n] @ y, y, W, log_det
+
+
+def product(A: Array, B: Array) -> Array:
+    """Return A B (m, n) of A (m, k) and B (k, n): 2 m k n flops."""
+    C: Array = A @ B
+    return C
 
 
 def subtract_product(lower: Array, W: Array, n: int) -> None:  # noqa: ARG001

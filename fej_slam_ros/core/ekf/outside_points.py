@@ -21,10 +21,11 @@ from functools import partial
 import numpy as np
 
 from fej_slam_ros.core.ekf.covariance import Transport
+from fej_slam_ros.core.ekf.matrix_product import product
 from fej_slam_ros.core.ekf.symmetric_matrix import add_products, SymmetricMatrix
 from fej_slam_ros.core.ekf.whitening import pivoted_root
 from fej_slam_ros.core.geometry import Array, Indices, mean_rotation, perpendicular
-from fej_slam_ros.core.pieces import pause, product
+from fej_slam_ros.core.pieces import pause
 
 
 class OutsidePoints:

@@ -20,9 +20,10 @@ from scipy.special import chdtri
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.gating import CONTRADICTION_PROBABILITY
 from fej_slam_ros.core.ekf.linearization import Points, Poses
+from fej_slam_ros.core.ekf.matrix_product import product
 from fej_slam_ros.core.gauss_newton import ConvergenceError, gauss_newton
 from fej_slam_ros.core.geometry import Array, compose, Indices, rigid_fit, transform, wrap_all
-from fej_slam_ros.core.pieces import pause, product
+from fej_slam_ros.core.pieces import pause
 from fej_slam_ros.core.records import LandmarkKey, Observation
 
 #: Observations of each robot at step 0; a landmark may be observed more than once.

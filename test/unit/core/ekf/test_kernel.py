@@ -183,6 +183,39 @@ def test_updates_are_equal(compiled, rng, n, m, d):
     assert_allclose(np.tril(result[0][-1][:n, :n]), np.tril(P - K @ H @ P), rtol=1e-9, atol=1e-9)
 
 
+# Numbers of rows below, at and beyond a vector of 8, a tile of 24 and the 480 rows that stay in
+# the cache; ranks below and beyond the 128 columns that are subtracted together.
+@pytest.mark.parametrize('n', [0, 1, 7, 8, 9, 31, 32, 33, 480, 481, 505])
+@pytest.mark.parametrize('rank', [0, 1, 20, 129])
+def test_a_product_is_subtracted_from_the_lower_triangle_and_nothing_else_changes(
+    compiled, rng, n, rank
+):
+    lower, W = np.asfortranarray(rng.normal(size=(n + 3, n + 3))), rng.normal(size=(n + 2, rank))
+    changed, expected = lower.copy('F'), lower.copy()
+
+    compiled.subtract_product(changed, np.asfortranarray(W), n)
+
+    expected[:n, :n] -= np.tril(W[:n] @ W[:n].T)
+    # 129 products of normal numbers, of which some are 4: sums of up to 300.
+    assert_allclose(np.tril(changed[:n, :n]), np.tril(expected[:n, :n]), rtol=0.0, atol=1e-12)
+    outside = np.ones(lower.shape, bool)
+    outside[np.tril_indices(n)] = False
+    assert_array_equal(changed[outside], lower[outside])
+
+
+@pytest.mark.parametrize(('m', 'k', 'n'), [
+    (3, 2, 4), (4, 2, 3), (0, 2, 3), (3, 0, 4), (9, 130, 500), (500, 130, 9), (40, 40, 40)])
+def test_products_are_equal_in_any_layout(compiled, rng, m, k, n):
+    A, B = rng.normal(size=(m, k)), rng.normal(size=(k, 2 * n))[:, ::2]
+
+    for left in (A, np.asfortranarray(A)):
+        for right in (B, B.copy(), B.copy('F')):
+            before = left.copy(), right.copy()
+            assert_allclose(compiled.product(left, right), A @ B, rtol=0.0, atol=1e-12)
+            assert_array_equal(left, before[0])
+            assert_array_equal(right, before[1])
+
+
 # Parts of columns above the diagonal that end within, at and beyond a line of the cache.
 @pytest.mark.parametrize('indices', [[0, 7, 8, 9], [19, 3, 3], []])
 def test_full_columns_are_equal(compiled, rng, indices):
@@ -325,6 +358,7 @@ STATES, JACOBIAN, R = np.array([[0, 1, 2, 2, 3]]), np.zeros((1, 2, 5)), np.zeros
     ('correction', (FULL, np.zeros((2, 3)), np.eye(2), np.zeros(2), 4)),
     ('correction', (FULL, np.zeros((2, 4)), np.eye(3), np.zeros(2), 4)),
     ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 5)),
+    ('product', (SQUARE, np.eye(4))), ('product', (POSE, SQUARE)),
     ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 5)),
     ('subtract_product', (FULL, np.zeros((4, 2), order='F'), 2 ** 32)),
     ('correction', (FULL, np.zeros((2, 4)), np.eye(2), np.zeros(2), 2 ** 32)),
