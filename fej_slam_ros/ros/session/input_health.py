@@ -5,6 +5,7 @@
 from collections import Counter, defaultdict, deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+import sys
 from typing import NamedTuple
 
 from fej_slam_ros.core.geometry import Array
@@ -158,10 +159,10 @@ class RobotHealth:
         elif is_moving:
             self.unmoved += 1
 
-    def note_lag(self, stamp: int, longest: int) -> None:
-        """Note how far the odometry is behind a stamp [ns], at most a longest lag [ns]."""
-        if self.newest is not None and self._lags[-1] < stamp - self.newest <= longest:
-            self._lags[-1] = stamp - self.newest
+    def note_lag(self, newest: int, longest: int) -> None:
+        """Note how far the odometry is behind the newest of the team, if not beyond a lag [ns]."""
+        if self.newest is not None and self._lags[-1] < newest - self.newest <= longest:
+            self._lags[-1] = newest - self.newest
 
     def lag(self) -> int:
         """
@@ -200,6 +201,8 @@ class InputHealth:
         self._consumer = consumer
         self.robots: defaultdict[str, RobotHealth] = defaultdict(RobotHealth)
         self.clock_offsets = ClockOffsets()
+        # Stamp of the newest odometry of the team since the last report [ns].
+        self._newest = -sys.maxsize
         self.first_messages: deque[tuple[str, str]] = deque(maxlen=MAX_NOTES)
         self.pose_priors: dict[str, list[int]] = {}
         self.rejected_priors: deque[tuple[str, RejectionReason]] = deque(maxlen=MAX_NOTES)
@@ -242,13 +245,12 @@ class InputHealth:
         del waiting[:-MAX_NOTES]
 
     def receive_odometry(self, robot: str, stamp: int) -> None:
-        """Add the stamp [ns] of accepted odometry, which may show that others lag behind."""
+        """Add the stamp [ns] of accepted odometry."""
         own = self.robots[robot]
+        # How far it was behind until now; robots further than the longest lead are not waited for.
+        own.note_lag(self._newest, self.longest_lead)
         own.newest = stamp if own.newest is None else max(stamp, own.newest)
-        # Robots that lag further than the longest lead are not waited for.
-        longest = self.longest_lead
-        for health in self.robots.values():
-            health.note_lag(stamp, longest)
+        self._newest = max(stamp, self._newest)
 
     def remove_robot(self, robot: str) -> None:
         """Delete the state of a robot that was removed."""
@@ -260,8 +262,10 @@ class InputHealth:
         """Add the present counts at the time [ns] of a report."""
         statistics = self._consumer.statistics
         for robot in self._consumer.robots:
+            self.robots[robot].note_lag(self._newest, self.longest_lead)
             self.robots[robot].sample(
                 now, statistics.observations_used[robot], statistics.rejection_counts[robot])
+        self._newest = -sys.maxsize
 
     def waiting(self, robot: str) -> int:
         """Return the number of messages of a robot that wait to be used."""
