@@ -3,9 +3,9 @@
 """
 Limits of this machine, and the times that are compared with them.
 
-The lower bound of a step with n states and m observations is the rank-2m update of one triangle,
+The limit of a step with n states and m observations is the rank-2m update of one triangle by BLAS,
 limited by arithmetic or by memory: max(2 m n (n + 1) / F, 8 n (n + 1) / B), with the flop/s F of
-dsyrk and the memory bandwidth B.
+dsyrk and the memory bandwidth B. A kernel that computes products faster than BLAS is below it.
 """
 
 from collections.abc import Callable, Sequence
@@ -39,7 +39,7 @@ class Machine:
     bandwidth: float
 
     def limit(self, n: int, m: int) -> float:
-        """Return the least time [s] of an update of n states with m observations."""
+        """Return the least time [s] of an update of n states with m observations by BLAS."""
         triangle = n * (n + 1)
         return max(2.0 * m * triangle / self.flops, 8.0 * triangle / self.bandwidth)
 
