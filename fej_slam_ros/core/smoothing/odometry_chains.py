@@ -50,9 +50,13 @@ class PartOfChains(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryChains:
-    """Odometry factors in chains of at least two, chain by chain."""
+    """
+    Odometry factors in chains of at least two, chain by chain.
 
-    rows: Indices  #: (m,) array, the factors, each beginning where the one before ends
+    Chains of equal length follow each other, so that they are summed together.
+    """
+
+    rows: Indices  #: (m,) array, the factors; in a chain each begins where the one before ends
     firsts: Indices  #: (c,) array, position in `rows` of the first factor of each chain
     #: begins, ends: (m,) arrays, poses of each factor
     begins: Indices
@@ -85,7 +89,13 @@ class OdometryChains:
     def _of_runs(cls, begins: Indices, ends: Indices, goes_on: Flags) -> 'OdometryChains':
         follows = np.append(False, goes_on)[:len(goes_on)]
         rows = np.flatnonzero(goes_on | follows)
-        return cls(rows, np.flatnonzero(~follows[rows]), begins[rows], ends[rows])
+        firsts = np.flatnonzero(~follows[rows])
+        lengths = np.diff(np.append(firsts, len(rows)))
+        by_length = np.argsort(lengths, kind='stable')
+        firsts, lengths = firsts[by_length], lengths[by_length]
+        moved_to = np.cumsum(lengths) - lengths
+        rows = rows[np.arange(len(rows)) + np.repeat(firsts - moved_to, lengths)]
+        return cls(rows, moved_to, begins[rows], ends[rows])
 
     @property
     def lasts(self) -> Indices:
@@ -198,7 +208,7 @@ class ChainedIncrements:
         S = np.stack([
             turned_xx - dy * (x_phi + S_x_phi), turned_xy + dx * S_x_phi - dy * y_phi,
             turned_yy + dx * (y_phi + S_y_phi), S_x_phi, S_y_phi, phi_phi])
-        rho, S = (_sums(values, part.firsts, part.lengths) for values in (rho, S))
+        rho, S = (_sums(values, part.lengths) for values in (rho, S))
         return np.stack([dx, dy]), rho, S, cost
 
 
@@ -323,15 +333,18 @@ def _quadratic(elements: Array, x: Array, y: Array, phi: Array) -> float:
         + phi @ (phi_phi * phi))
 
 
-def _sums(values: Array, firsts: Indices, lengths: Indices) -> Array:
+def _sums(values: Array, lengths: Indices) -> Array:
     """
     Return the sums from the first column of each run up to each of its columns.
 
     Each run is summed by itself: differences of a sum over all would lose the digits of runs after
     one with a large covariance, such as that of a lost robot.
     """
-    sums = np.empty_like(values)
-    for length in np.unique(lengths).tolist():
-        columns = firsts[lengths == length][:, None] + np.arange(length)
-        sums[:, columns] = np.cumsum(values[:, columns], axis=2)
+    sums, begin = np.empty_like(values), 0
+    for length, count in zip(*np.unique(lengths, return_counts=True)):
+        end = begin + length * count
+        of_runs, into = (
+            columns[:, begin:end].reshape(-1, count, length) for columns in (values, sums))
+        np.cumsum(of_runs, axis=2, out=into)
+        begin = end
     return sums
