@@ -52,9 +52,9 @@ def _finite_number(name: str, text: str | None) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ValueError(f'where {name} is {text!r} and not a finite number')
+        raise ValueError(f'{name} is {text!r} and not a finite number')
     if abs(value) > MAX_NUMBER:
-        raise ValueError(f'where {name} is {text!r}, beyond {MAX_NUMBER:g}')
+        raise ValueError(f'{name} is {text!r}, beyond {MAX_NUMBER:g}')
     return value
 
 
@@ -66,5 +66,5 @@ def integer(cells: Cells, name: str) -> int:
     except ValueError:
         number = MAX_INTEGER + 1
     if abs(number) > MAX_INTEGER:
-        raise ValueError(f'where {name} is {text!r} and not an integer of 64 bits')
+        raise ValueError(f'{name} is {text!r} and not an integer of 64 bits')
     return number

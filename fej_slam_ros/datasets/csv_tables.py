@@ -257,7 +257,7 @@ def _covariance(
     P = symmetric(finite_numbers(cells, names))
     if not is_valid(P):
         raise ValueError(
-            f'where {", ".join(names)} are no covariance: variances must be positive, and'
+            f'{", ".join(names)} are no covariance: variances must be positive, and'
             ' correlations below 1')
     return P
 

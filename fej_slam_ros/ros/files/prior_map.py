@@ -77,7 +77,7 @@ def _read(rows: 'csv.DictReader[str]', most: int) -> PriorMap:
         try:
             landmark = _landmark(cells)
         except ValueError as error:
-            raise ValueError(f'correct line {rows.line_num}, {error}') from None
+            raise ValueError(f'correct line {rows.line_num}: {error}') from None
         if landmark.id in lines:
             raise ValueError(
                 f'id {landmark.id} is in line {lines[landmark.id]} and in line {rows.line_num},'
@@ -96,13 +96,13 @@ def _landmark(cells: Cells) -> LandmarkRow:
     text = cells['id'] or ''
     if not _is_landmark_id(text):
         raise ValueError(
-            f'where id is {text!r} and not an integer from {MIN_MAP_ID} to {MAX_ID} other than'
+            f'id is {text!r} and not an integer from {MIN_MAP_ID} to {MAX_ID} other than'
             f' {NO_ID}')
     landmark = read_landmark(cells)
     if np.abs(landmark.point).max() > MAX_COORDINATE or np.abs(landmark.P).max() > MAX_VARIANCE:
-        raise ValueError(f'which exceeds {MAX_COORDINATE:g} m or {MAX_VARIANCE:g} m^2')
+        raise ValueError(f'it exceeds {MAX_COORDINATE:g} m or {MAX_VARIANCE:g} m^2')
     if np.linalg.eigvalsh(landmark.P)[0] < MIN_VARIANCE:
-        raise ValueError('where the covariance is not positive definite')
+        raise ValueError('the covariance is not positive definite')
     return landmark
 
 

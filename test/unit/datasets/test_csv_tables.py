@@ -152,12 +152,12 @@ def test_the_team_has_the_robots_with_odometry():
 
 
 @pytest.mark.parametrize(('rows', 'reason'), [
-    ('a,1,0,0', 'line 2: where yaw is None and not a finite number'),
-    ('a,1,0,x,0', "line 2: where y is 'x' and not a finite number"),
-    ('a,x,0,0,0', "line 2: where stamp_ns is 'x' and not an integer"),
-    (f'a,{2 ** 63},0,0,0', "line 2: where stamp_ns is '9223372036854775808' and not an integer"),
+    ('a,1,0,0', 'line 2: yaw is None and not a finite number'),
+    ('a,1,0,x,0', "line 2: y is 'x' and not a finite number"),
+    ('a,x,0,0,0', "line 2: stamp_ns is 'x' and not an integer"),
+    (f'a,{2 ** 63},0,0,0', "line 2: stamp_ns is '9223372036854775808' and not an integer"),
     (',1,0,0,0', 'line 2: robot is empty'),
-    ('a,1,0,0,0\na,1,0,0,nan', "line 3: where yaw is 'nan'")])
+    ('a,1,0,0,0\na,1,0,0,nan', "line 3: yaw is 'nan'")])
 def test_a_damaged_row_is_named(tmp_path, rows, reason):
     folder = write(tmp_path, odometry=f'robot,stamp_ns,x,y,yaw\n{rows}\n')
 
@@ -169,7 +169,7 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1e999999999,1,0,0,1,0,1', 'time is'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,2.5,0,0,1,0,1',
-     r"where id is '2\.5' and not an integer"),
+     r"id is '2\.5' and not an integer"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,-1,1,0,0,1,0,1', 'its time is -1000000000 ns'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', 'its time is 30*0 ns')])
@@ -228,7 +228,7 @@ HEADS = {name.removesuffix('.csv'): ','.join(head) for name, head in csv_tables.
 def test_a_covariance_that_is_none_is_named_with_its_line(tmp_path, table, row, names):
     write(tmp_path, **{'odometry': ODOMETRY, table: f'{HEADS[table]}\n{row}\n'})
 
-    with pytest.raises(UserError, match=rf'{table}\.csv: correct line 2: where {names}.* are no '):
+    with pytest.raises(UserError, match=rf'{table}\.csv: correct line 2: {names}.* are no '):
         csv_tables.read(tmp_path)
 
 

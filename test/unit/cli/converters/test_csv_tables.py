@@ -53,5 +53,5 @@ def test_bad_input_ends_with_one_sentence(convert, tmp_path):
     assert_one_sentence(convert(), 1, 'odometry.csv is missing or has no row', 'robot,stamp_ns,x')
     assert_one_sentence(
         convert(odometry=ODOMETRY, landmarks=LANDMARKS.replace('0.02', '?')), 1,
-        'landmarks.csv: correct line 2', "where sigma_bearing is '?'")
+        'landmarks.csv: correct line 2', "sigma_bearing is '?'")
     assert not (tmp_path / 'bag').exists()
