@@ -197,8 +197,7 @@ def _from_seconds(text: str) -> int:
 
 
 def _odometry(cells: Cells) -> Odometry:
-    is_known = any(cells.get(name) for name in TWIST)
-    covariance = _covariance(cells, TWIST, is_semidefinite) if is_known else None
+    covariance = _covariance(cells, TWIST, is_semidefinite) if _has(cells, TWIST) else None
     return Odometry(*_event(cells), np.array(finite_numbers(cells, POSE)), covariance)
 
 
@@ -224,7 +223,11 @@ def _robot(cells: Cells) -> tuple[Event, RobotObservation | None]:
 
 def _is_empty(cells: Cells, name: str) -> bool:
     """Return whether a row is that of a scan without observations; raise a KeyError without it."""
-    return not cells[name] and not any(cells.get(column) for column in (*POINT, *POLAR))
+    return not cells[name] and not _has(cells, (*POINT, *POLAR))
+
+
+def _has(cells: Cells, names: Iterable[str]) -> bool:
+    return any(cells.get(name) for name in names)
 
 
 def _pose_prior(cells: Cells) -> PosePrior:
@@ -243,10 +246,12 @@ def _true_landmark(cells: Cells) -> tuple[int, Array]:
 
 
 def _point(cells: Cells) -> tuple[Array, Array]:
-    """Return an observed position and its covariance, from Cartesian or polar columns."""
+    """Return an observed position and covariance, zeros if unknown, as in scans."""
     if 'range' in cells:
         return polar(*finite_numbers(cells, POLAR))
     z = np.array(finite_numbers(cells, POINT[:2]))
+    if not _has(cells, POINT[2:]):
+        return z, np.zeros((2, 2))
     return z, _covariance(cells, POINT[2:], _is_definite_or_unknown)
 
 

@@ -181,7 +181,7 @@ def test_a_column_that_is_wrong_is_named(tmp_path, head, row, reason):
 
 
 @pytest.mark.parametrize(('head', 'row', 'column'), [
-    ('robot,stamp_ns,id,x,y', 'a,1,1,0,0', 'var_x'),
+    ('robot,stamp_ns,id,x,y,var_x,var_y', 'a,1,1,0,0,1,1', 'cov_xy'),
     ('robot,stamp_ns,x,y,var_x,cov_xy,var_y', 'a,1,0,0,1,0,1', 'id'),
     ('robot;stamp_ns;id;x;y', 'a;1;1;0;0', 'id'),
     ('a,1,1,0,0', 'a,2,1,0,0', 'id')])
@@ -253,9 +253,11 @@ def test_the_covariance_of_a_velocity_may_be_singular(tmp_path, block):
     assert upper.tolist() == [*map(float, block.split(','))]
 
 
-def test_zeros_are_an_unknown_covariance_of_an_observation(tmp_path):
-    records = csv_tables.read(write(
-        tmp_path, odometry=ODOMETRY, landmarks=f'{LANDMARK_HEAD}a,5,1,1,2,0,0,0\n'))
+@pytest.mark.parametrize('table', [
+    f'{LANDMARK_HEAD}a,5,1,1,2,0,0,0\n', f'{LANDMARK_HEAD}a,5,1,1,2,,,\n',
+    'robot,stamp_ns,id,x,y\na,5,1,1,2\n'])
+def test_an_observation_without_covariance_has_zeros_as_in_scans(tmp_path, table):
+    records = csv_tables.read(write(tmp_path, odometry=ODOMETRY, landmarks=table))
 
     assert not records[1].observations[0].R.any()
 
