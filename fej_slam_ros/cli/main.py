@@ -10,6 +10,7 @@ the requested verb is imported, so ``replay`` works without rclpy and the help i
 
 import argparse
 import ast
+from difflib import get_close_matches
 import errno
 from importlib import import_module
 from importlib.resources import files
@@ -74,8 +75,11 @@ def main() -> int:
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
     for verb in VERBS:
         verbs.add_parser(verb, help=_summary(verb), add_help=False)
+    first = sys.argv[1:2]
+    if first and first[0] not in VERBS and (alike := get_close_matches(first[0], VERBS, 1)):
+        parser.error(f'there is no verb {first[0]}, did you mean {alike[0]}?')
     # The verb's own parser handles the rest.
-    verb = parser.parse_args(sys.argv[1:2]).verb
+    verb = parser.parse_args(first).verb
     return _run(f'{command} {verb}', verb, sys.argv[2:])
 
 

@@ -249,6 +249,15 @@ def test_help_lists_every_verb_with_its_summary(monkeypatch, capsys):
         assert text[text.index(verb) + 1][0].isupper()
 
 
+def test_the_nearest_verb_is_named(monkeypatch, capsys):
+    monkeypatch.setattr(sys, 'argv', ['fej_slam', 'replya', 'BAG'])
+
+    with pytest.raises(SystemExit, match='2'):
+        main()
+
+    assert capsys.readouterr().err.endswith('there is no verb replya, did you mean replay?\n')
+
+
 def test_help_imports_neither_numpy_nor_rclpy():
     script = (
         'import sys; sys.argv = ["fej_slam", "--version"]\n'
