@@ -9,7 +9,8 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.tables import number, text_table
 
 RUN_HEADINGS = (
-    'robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'messages', 'used', 'rejected')
+    'robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'messages', 'used',
+    'messages rejected')
 
 
 def run_table(summary: Mapping[str, Any]) -> str:
@@ -27,7 +28,7 @@ def run_table(summary: Mapping[str, Any]) -> str:
     rejected = ', '.join(
         f'{reason} {count}' for reason, count in summary['counts'].items()
         if count and reason not in ('used', 'released_without'))
-    lines += ['', landmarks, f'rejected messages and observations: {rejected or "none"}']
+    lines += ['', landmarks, f'rejected messages and single observations: {rejected or "none"}']
     lines += [
         f'{name} is not in robots: its {count} messages are rejected'
         for name, count in unknown.items() if name]

@@ -46,7 +46,7 @@ def test_an_exactly_known_pose_has_no_nees():
 
 def test_rejections_and_robots_outside_the_map_are_listed():
     assert lines_of()[3:] == [
-        '', '12 landmarks in map', 'rejected messages and observations: late 2, bad_id 1',
+        '', '12 landmarks in map', 'rejected messages and single observations: late 2, bad_id 1',
         'r2 is not in map: it sent no odometry', 'the result depends on the order of arrival',
         'state hash ab12']
 
@@ -54,7 +54,7 @@ def test_rejections_and_robots_outside_the_map_are_listed():
 def test_a_run_without_rejections_says_so():
     counts = {'used': 38, 'late': 0, 'released_without': 3}
 
-    assert 'rejected messages and observations: none' in lines_of(counts=counts)
+    assert 'rejected messages and single observations: none' in lines_of(counts=counts)
 
 
 def test_a_robot_that_was_never_in_the_team_has_no_row_but_a_reason():

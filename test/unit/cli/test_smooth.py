@@ -292,4 +292,4 @@ def test_with_unmatched_observations_alone_a_scan_is_no_step(smooth):
     _, printed, _ = smooth(map(raw_record, [
         odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(NO_ID, (1.0, 0.0))])]))
 
-    assert 'rejected messages and observations: no_identity 1' in printed
+    assert 'rejected messages and single observations: no_identity 1' in printed
