@@ -13,6 +13,7 @@ from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session.front_end import FrontEnd, RobotCounts
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 from fej_slam_ros.tables import text_table
 
 
@@ -45,19 +46,23 @@ def write_copy(
     if found := unusable(topics):
         raise UserError(f'{arguments.bag} has {found}')
     with bags.BagWriter(arguments.output, arguments.storage, arguments.force) as bag:
-        now = 0
+        now = scans = 0
         for message in bags.read_with_bar(arguments.bag, names, topics):
             now = max(now, message.received or 0)
             if topics[message.topic].is_known:
                 bag.copy(message, topics[message.topic].latched)
             front_end.receive(message)
-            _write(bag, now, front_end.take())
-        _write(bag, now, front_end.close())
-    counts = [*front_end.counts()]
-    print(_table(counts))
-    for robot, warning, _ in counts:
-        if warning:
-            print(f'{robot}: {warning}')
+            scans += _write(bag, now, front_end.take())
+        scans += _write(bag, now, front_end.close())
+        counts = [*front_end.counts()]
+        print(_table(counts))
+        for robot, warning, _ in counts:
+            if warning:
+                print(f'{robot}: {warning}')
+        if not scans:
+            raise UserError(
+                f'no message of {arguments.bag} could be used, so nothing is written: correct what'
+                ' the lines above name')
     unknown = sorted({topic.type_name for topic in topics.values() if not topic.is_known})
     if unknown:
         print(f'not copied, of unknown types: {", ".join(unknown)}')
@@ -86,6 +91,10 @@ def _check_output(
             ' rename these topics with --remap')
 
 
-def _write(bag: bags.BagWriter, now: int, publications: Iterable[Publication]) -> None:
+def _write(bag: bags.BagWriter, now: int, publications: Iterable[Publication]) -> int:
+    """Write publications and return the number of scans of landmarks or robots."""
+    scans = 0
     for topic, message in publications:
         bag.write(topic, now, message)
+        scans += topic.endswith(OBSERVATION_TOPICS)
+    return scans

@@ -3,6 +3,7 @@
 """Common part of `replay` and `smooth`: a session over a bag, files and an output bag out."""
 
 import argparse
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -18,14 +19,17 @@ from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.errors import UsageError
+from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.ros.files import bags, run_results
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import changes_before, RunSettings
+from fej_slam_ros.ros.session.input_faults import reasons_in_words
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.session import Session
+from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 
 SessionT = TypeVar('SessionT', bound=Session)
 
@@ -163,6 +167,22 @@ def process(
     yield session, summary
     for folder in folders:
         _renew_picture(folder, arguments.picture)
+
+
+def require_use(arguments: argparse.Namespace, sessions: Iterable[Session]) -> None:
+    """Raise a `UserError` if all odometry or all scans of the bag were rejected."""
+    flows = [
+        (kind, flow) for session in sessions for health in session.inputs.health.robots.values()
+        for kind, flow in health.flows.items() if flow.received]
+    for kinds in ('odom',), OBSERVATION_TOPICS:
+        rejected = [flow.rejected_in_a_row for kind, flow in flows if kind in kinds]
+        received = sum(flow.received for kind, flow in flows if kind in kinds)
+        reasons = sum(rejected, Counter[RejectionReason]())
+        if 0 < received == reasons.total():
+            topics = ' and '.join(f'<robot>/{kind}' for kind in kinds)
+            raise UserError(
+                f'all {received} messages on {topics} are rejected: {reasons_in_words(reasons)};'
+                f' fej_slam doctor {arguments.bag} --params {arguments.params} names the cures')
 
 
 def _folder(output: Path, number: int) -> Path:

@@ -23,6 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = parameters.load(arguments.params, node_names(arguments, 'estimator'))
     begin = partial(
         EstimatorSession, outputs=EstimatorOutputs if arguments.write_bag else NoOutputs)
-    sessions = offline_run.process(arguments, settings, 'estimator', begin)
-    print('\n\n'.join(run_table(summary) for _, summary in sessions))
+    runs = [*offline_run.process(arguments, settings, 'estimator', begin)]
+    print('\n\n'.join(run_table(summary) for _, summary in runs))
+    offline_run.require_use(arguments, [session for session, _ in runs])
     return 0

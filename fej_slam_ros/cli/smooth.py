@@ -62,14 +62,14 @@ def run(arguments: argparse.Namespace) -> int:
         settings.node, checkpoint='', restore=arguments.restore))
     matches = None if arguments.restore else matches_in(
         arguments.bag, settings, names_in(arguments, arguments.bag))
-    sessions = offline_run.process(
+    runs = [*offline_run.process(
         arguments, settings, 'smoother', partial(BagSmootherSession, matches=matches),
-        SmoothedSink)
+        SmoothedSink)]
     print('\n\n'.join(
-        '\n'.join([run_table(summary), *_tables(session)])
-        for session, summary in sessions))
+        '\n'.join([run_table(summary), *_tables(session)]) for session, summary in runs))
     if matches is not None:
         print(matched_in_words(matches.counts))
+    offline_run.require_use(arguments, [session for session, _ in runs])
     return 0
 
 
@@ -94,7 +94,7 @@ def _tables(session: BagSmootherSession) -> Iterator[str]:
             f'{", ".join(solved.trajectories)} in {solved.frame}: chi-square'
             f' {solved.chi_square:.1f}, {solved.dof} degrees of freedom'
             + (f', {associated} landmarks associated' if own_ids else ''))
-        if solved.chi_square > MAX_CHI_SQUARE_RATIO * solved.dof:
+        if solved.chi_square > MAX_CHI_SQUARE_RATIO * solved.dof > 0.0:
             yield (
                 f'chi-square is {solved.chi_square / solved.dof:.1f} times its degrees of freedom:'
                 ' covariances are too small, or measurements wrong; doctor names some faults')

@@ -86,6 +86,21 @@ def test_the_doctor_does_not_advise_to_detect_in_scans_that_are_all_rejected(
         ['r1/scan', 'scans_rejected']]
 
 
+def test_scans_that_are_all_rejected_are_an_error_and_nothing_is_written(
+        recorded, tmp_path, capsys):
+    copy = write_bag(tmp_path / 'bag', [
+        without_beams(message) if message.topic.endswith('/scan') else message
+        for message in bags.read(recorded[0])])
+
+    status = run_verb('detect', copy, '--params', recorded[1], '--output', tmp_path / 'out')
+
+    printed, error = capsys.readouterr()
+    assert (status, error.count('\n')) == (1, 1)
+    assert 'r1: ' in printed
+    assert 'nothing is written: correct what the lines above name' in error
+    assert not (tmp_path / 'out').exists()
+
+
 def without_beams(message):
     scan = TYPES.deserialize_cdr(message.raw, message.type_name)
     return replace(message, raw=cdr(replace(scan, ranges=np.empty(0, np.float32))))

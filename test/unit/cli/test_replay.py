@@ -120,6 +120,24 @@ def test_delays_below_max_delay_do_not_matter(replay, summary, seed):
     assert (summary()['depends_on_arrival'], summary()['counts']['late']) == (False, 0)
 
 
+@pytest.mark.parametrize(('changes', 'topics', 'reason'), [
+    ({'frame': 'camera'}, '<robot>/landmarks and <robot>/robots', '2 wrong_frame'),
+    ({'quaternion': (0.0, 0.0, 0.0, 0.0)}, '<robot>/odom', '3 bad_quaternion')])
+def test_input_that_is_all_rejected_is_an_error_after_the_files_are_written(
+        replay, summary, changes, topics, reason):
+    frame = {'frame': changes['frame']} if 'frame' in changes else {}
+    turn = {} if frame else changes
+
+    status, table, error = replay([
+        *(odom(ms, **turn) for ms in (0, 100, 200)),
+        *(scan(ms, (1, 2.0, 1.0), **frame) for ms in (50, 100))])
+
+    assert status == 1
+    assert f'all {reason[0]} messages on {topics} are rejected: {reason}; fej_slam doctor' in error
+    assert 'state hash' in table
+    assert summary()['counts'][reason[2:]] == int(reason[0])
+
+
 def odom(ms, received=390, **fields):
     return raw('r1/odom', odometry_message(ms, **fields), received)
 
