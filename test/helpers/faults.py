@@ -196,6 +196,49 @@ def turned(x=0.0, y=0.0, z=0.0, w=0.0):
     return change
 
 
+def in_degrees(entry):
+    """Give the bearings of the observations of a cloud in degrees, as if they were radians."""
+    positions(entry, lambda z: abs(z) * np.exp(1j * np.angle(z, deg=True)))
+
+
+def in_map(topic):
+    """Return a fault that gives the observations of a robot in map, by its true poses."""
+    def plant(found):
+        def stamp(entry):
+            return entry.message.header.stamp.sec, entry.message.header.stamp.nanosec
+
+        truth = topic.replace('landmarks', 'ground_truth')
+        poses = {stamp(e): e.message.pose.pose for e in found if e.topic == truth}
+        for entry in found:
+            if entry.topic == topic:
+                place(entry, poses[stamp(entry)])
+        return found
+
+    def place(entry, pose):
+        p, q = pose.position, pose.orientation
+        turn = np.exp(2j * np.arctan2(q.z, q.w))
+        positions(entry, lambda z: turn * z + p.x + 1j * p.y)
+    return plant
+
+
+def positions(entry, change):
+    """Change the points x + iy of a cloud."""
+    points = []
+    columns(x=lambda x: points.append(x) or x, y=lambda y: points.append(y) or y)(entry)
+    z = change(points[0] + 1j * points[1])
+    columns(x=lambda _: z.real, y=lambda _: z.imag)(entry)
+
+
+def exchanged(first, second):
+    """Return a fault that exchanges two topics."""
+    def plant(found):
+        names = {first: second, second: first}
+        for entry in found:
+            entry.topic = names.get(entry.topic, entry.topic)
+        return found
+    return plant
+
+
 def framed(frame=None, child=None):
     def change(entry):
         if frame is not None:

@@ -4,8 +4,9 @@
 Whether a sensor is where and as its observations say: its pose on the robot, handedness and time.
 
 Landmarks stand still. Two observations of one landmark therefore agree after the motion between
-them by odometry, over a second or two, unless the sensor is elsewhere, its frame is left-handed,
-or its stamps are early or late. Each of these is fitted by itself.
+them by odometry, over a second or two, unless the sensor is elsewhere, its frame is left-handed or
+does not move with the robot, its bearings are wrong, or its stamps are early or late. Each of
+these is fitted by itself.
 """
 
 from collections.abc import Iterator, Sequence
@@ -36,6 +37,10 @@ POSE_SCALE, WEIGHT = np.array([0.5, 0.5, 0.5]), 0.2
 MIN_WEIGHT = 0.1
 #: Largest error of stamps that is looked for [s].
 MAX_STAMP_ERROR = 0.5
+#: Minimum share of ranges that must fit the motion where only bearings are wrong, maximum share
+#: where they are those of other pairs, and maximum mean resultant length of the changes of such
+#: bearings. In MRCLAM set 6, where robots often rest, it is 1.00, and at most 0.57 in degrees.
+RANGES_FIT, RANGES_DIFFER, BEARINGS_DIFFER = 0.95, 0.7, 0.6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,6 +62,8 @@ class SensorFit:
     delayed: float  #: agreement with other stamps
     delay: float  #: by which these are later than those given [s]
     mirrored: float  #: agreement with left and right exchanged, at the best pose
+    still: float  #: agreement without any motion: in map, or of what moves with the robot
+    bearings_differ: bool  #: whether the ranges of pairs agree, but not at all their bearings
 
 
 def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit | None:
@@ -78,7 +85,8 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
     return SensorFit(
         len(pairs.sigma), given.agreement(none), given.agreement(pose), pose,
         given.is_determined(pose), pairs.at_odometry(delay).agreement(none), delay,
-        mirrored.agreement(mirrored.fitted()))
+        mirrored.agreement(mirrored.fitted()), pairs.still().agreement(none),
+        given.bearings_differ())
 
 
 def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:
@@ -175,6 +183,12 @@ class ObservationPairs:
             p, q, _rotations(first[:, 2]), _rotations(second[:, 2]),
             first[:, :2] - second[:, :2], self.sigma)
 
+    def still(self) -> '_PlacedPairs':
+        """Return the pairs with a robot that does not move."""
+        p, q = self.z
+        rotations = _rotations(np.zeros(len(p)))
+        return _PlacedPairs(p, q, rotations, rotations, np.zeros_like(p), self.sigma)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _PlacedPairs:
@@ -213,6 +227,20 @@ class _PlacedPairs:
         """Return whether a change of each part of a pose (3,) changes the differences."""
         J = self.jacobian(pose).reshape(-1, 3) * POSE_SCALE
         return float(np.linalg.eigvalsh(J.T @ J)[0]) > MIN_WEIGHT * len(J)
+
+    def bearings_differ(self) -> bool:
+        """Return whether the ranges of pairs fit the motion, but not at all their bearings."""
+        first, second = np.hypot(*self.p.T), np.hypot(*self.q.T)
+        limit = np.hypot(*self.motion.T) + 3.0 * self.sigma
+        fit, others_fit = (
+            np.mean(np.abs(first - ranges) <= limit)
+            for ranges in (second, np.roll(second, len(second) // 2)))
+        expected = np.einsum('nij,nj->ni', self.A, self.p) + self.motion
+        turned = np.einsum('nij,nj->ni', self.B, self.q)
+        change = np.arctan2(*turned.T) - np.arctan2(*expected.T)
+        return bool(
+            fit >= RANGES_FIT and others_fit <= RANGES_DIFFER
+            and abs(np.mean(np.exp(1j * change))) <= BEARINGS_DIFFER)
 
     def fitted(self) -> Array:
         """Return the pose (3,) of the frame of observations under which pairs agree best."""

@@ -38,8 +38,16 @@ EFFECTS_OF_TIME_JUMPS = {
 #: Findings that any error may explain.
 EFFECTS_OF_ERRORS = {RejectionReason.NOT_JOINED.value, 'restarted'}
 
+#: Findings on observations that explain why these fit nothing, and what they explain.
+FAULTS_OF_OBSERVATIONS = {team.EXCHANGED_TOPICS, sensors.DOES_NOT_MOVE, sensors.BEARINGS}
+EFFECTS_OF_OBSERVATIONS = {
+    'never_joins', 'does_not_fit', 'contradicted_id', 'inconsistent_noise'}
+
 #: Findings on odometry that explain the rejection of its motion.
 FAULTS_OF_ODOMETRY = {'jump', 'speed'}
+
+#: Rejections that exchanged topics explain.
+EFFECTS_OF_EXCHANGED_TOPICS = RejectionReason.UNKNOWN_ROBOT, RejectionReason.SELF_OBSERVATION
 
 #: Findings that a team without any landmark explains.
 EFFECTS_OF_NO_LANDMARKS = {'never_joins', 'blind_anchor'}
@@ -73,10 +81,10 @@ def examine(
         *storage.check(path, names),
         *topics.check(
             bag_topics, team_names, settings.estimation.initialpose_robot, recorded),
+        *sensors.check(path, names, settings, detector_in(parameter_file, team_names)),
         *_check_messages(
             survey, used, replace(settings, estimation=used.estimator.settings),
-            recorded.recorded_names()),
-        *sensors.check(path, names, settings, detector_in(parameter_file, team_names))]
+            recorded.recorded_names())]
     return sorted(
         _unexplained(findings, len(team_names)),
         key=lambda finding: finding.severity is not Severity.ERROR)
@@ -95,7 +103,9 @@ def _wrong_settings(
         for message in messages():
             other.receive(message)
         other.close()
-        if team.is_consistent(other):
+        # Maps by own IDs that agree show that the IDs are shared, and something else is wrong.
+        if team.is_consistent(other) and not (
+                estimation.shared_landmark_ids and team.maps_agree(other)):
             return [finding], other
     return [], trial
 
@@ -126,12 +136,16 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
     explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in names else set()
     if names['no_landmarks'] == robots:
         explained |= EFFECTS_OF_NO_LANDMARKS
+    if FAULTS_OF_OBSERVATIONS & names.keys():
+        explained |= EFFECTS_OF_OBSERVATIONS
     if any(finding.severity is Severity.ERROR for finding in findings):
         explained |= EFFECTS_OF_ERRORS
     # A detector that rejects all scans of a robot writes no landmarks.
     explained_at = {
-        ('no_landmarks', f'{finding.where.removesuffix("/scan")}/landmarks')
-        for finding in findings if finding.name == 'scans_rejected'} | {
+        ('no_landmarks', f'{finding.where.rpartition("/")[0]}/landmarks')
+        for finding in findings if finding.name in ('scans_rejected', team.EXCHANGED_TOPICS)} | {
+        (reason.value, finding.where) for reason in EFFECTS_OF_EXCHANGED_TOPICS
+        for finding in findings if finding.name == team.EXCHANGED_TOPICS} | {
         (RejectionReason.IMPOSSIBLE_MOTION.value, finding.where)
         for finding in findings if finding.name in FAULTS_OF_ODOMETRY}
     return (

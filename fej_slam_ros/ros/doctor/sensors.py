@@ -47,15 +47,20 @@ ANY_RADIUS, MIN_POSTS, ALLOWED_SHARE = (0.01, 1.0), 100, 0.2
 CORRUPTING_CONDITIONS = {'scans_rejected', 'scan_duration'}
 DOUBTFUL_CONDITIONS = {'scan_times', 'scan_stamp'}
 FRAME_CONDITION = 'laser_frame'
+#: Findings after which observations fit nothing.
+DOES_NOT_MOVE, BEARINGS = 'does_not_move', 'bearings'
 #: How the observations of each robot agree with its odometry, None if there are too few.
 Fits = Mapping[str, SensorFit | None]
 #: What scans of a laser, and observations of landmarks, need where they are wrong.
 CURES = {
     'scan': (
+        'check the odometry: by this laser, the robot stands still',
         'negate angle_increment, or give the static transform the roll of the laser',
         'correct the static transform of the laser',
         'stamp a scan with its first beam, or set stamped_at_end; see scan_duration, too'),
     'landmarks': (
+        ('give x (ahead) and y (left) from the robot, not in map, and not of what it carries; if'
+         ' it stood still, check its odometry'),
         'give y to the left, as in all frames of ROS, or set mirrored_axis of the adapter',
         'correct the static transform of the sensor or its sensor_pose',
         'stamp observations with the time of the scan or image, not with that of its processing')}
@@ -174,14 +179,24 @@ def _conditions(
 
 def findings(topic: str, fit: SensorFit) -> Iterator[Finding]:
     """Yield what explains why pairs of observations on a topic disagree, if anything does."""
-    best = min(fit.moved, fit.delayed, fit.mirrored)
+    best = min(fit.moved, fit.delayed, fit.mirrored, fit.still)
     if best > REPORTED * fit.as_given:
+        if fit.bearings_differ:
+            yield error(
+                BEARINGS, topic,
+                'the ranges of observations fit the motion by odometry, their bearings do not',
+                'give bearings in radians, counterclockwise from ahead; check the yaw of odometry',
+                fit.pairs)
         return
-    mirrored, moved, delayed = CURES[topic.rpartition('/')[2]]
+    still, mirrored, moved, delayed = CURES[topic.rpartition('/')[2]]
     share = f'{best / fit.as_given:.0%} of the disagreement between observations would remain'
     found = partial(error_if(best < CORRUPTING * fit.as_given), where=topic, count=fit.pairs)
     x, y, yaw = fit.pose.tolist()
-    if best == fit.mirrored:
+    if best == fit.still:
+        yield found(
+            DOES_NOT_MOVE, what=f'observations of a landmark stay the same while odometry moves:'
+            f' {share} if the robot stood still', cure=still)
+    elif best == fit.mirrored:
         yield found(
             'sensor_mirrored', what=f'left and right are exchanged: {share} otherwise',
             cure=mirrored)

@@ -2,16 +2,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check of the trial run: all robots join one map, and observations agree with odometry."""
 
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping
+from itertools import combinations
+
+import numpy as np
 
 from fej_slam_ros.core.frame_names import MAP
+from fej_slam_ros.core.geometry import Array, rigid_fit, transform
+from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.settings import RobotSettings, Settings
-from fej_slam_ros.ros.doctor.findings import counted, error, error_if, Finding, warning
+from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
 from fej_slam_ros.ros.session.estimator_diagnostics import NIS_ERROR
 from fej_slam_ros.ros.session.input_health import are_repeated
+from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 
 #: Upper bounds of the share of observations that fail the gate, for a consistent robot and for one
 #: whose pose may be correct; 0.1 % of correct observations fail.
@@ -21,6 +28,12 @@ MIN_ID_FAILURES = 5
 #: Maximum number of contradicted IDs to report (two swapped pairs); more of them indicate a wrong
 #: pose or noise of the robot.
 MAX_CONTRADICTED_IDS = 4
+#: Minimum number of common IDs of two maps, and largest difference of these, relative to their
+#: size, where the IDs are of the same landmarks: those of different ones do not fit at all.
+MIN_COMMON_IDS, MAX_DIFFERENCE = 5, 0.2
+#: Minimum number of IDs on <robot>/robots, and more than robots, that are those of landmarks.
+MIN_LANDMARK_IDS = 8
+EXCHANGED_TOPICS = 'exchanged_topics'
 #: Ranges of NIS/dof: outside the first the noise needs tuning, outside the second it is an error.
 NIS_RANGE = (0.2, 2.0)
 NIS_PLAUSIBLE_RANGE = (0.01, NIS_ERROR)
@@ -58,8 +71,28 @@ def is_consistent(trial: Trial) -> bool:
         and all(trial.gated_share(name) < MAX_GATED_SHARE for name in trial.estimator.robots))
 
 
+def maps_agree(trial: Trial) -> bool:
+    """Return whether maps of two robots by their own IDs have the same shape."""
+    maps: defaultdict[str, dict[int, Array]] = defaultdict(dict)
+    for landmark in trial.estimator.landmarks():
+        maps[landmark.robot][landmark.id] = landmark.position
+    return any(_have_one_shape(*pair) for pair in combinations(maps.values(), 2))
+
+
+def _have_one_shape(first: Mapping[int, Array], second: Mapping[int, Array]) -> bool:
+    common = [*(first.keys() & second.keys())]
+    if len(common) < MIN_COMMON_IDS:
+        return False
+    source, target = (np.array([points[id_] for id_ in common]) for points in (first, second))
+    differences = target - transform(rigid_fit(source, target), source)
+    return bool(differences.std() < MAX_DIFFERENCE * target.std(axis=0).mean())
+
+
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
     """Yield robots that never join the map, and measurements that contradict each other."""
+    ids = {robot.id for robot in settings.robots}
+    for robot in settings.robots:
+        yield from _exchanged(robot.name, survey, ids)
     if trial.failure is not None:
         yield error(
             'broken_estimate', 'all robots', str(trial.failure),
@@ -85,6 +118,20 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
             'moved_landmark', 'all robots',
             f'{len(moved)} landmarks are observed at several positions: {", ".join(names[:8])}',
             'give each landmark its own ID, or set moved_landmarks: forget', len(moved))
+
+
+def _exchanged(robot: str, survey: Survey, team: Collection[int]) -> Iterator[Finding]:
+    """Yield that the IDs on the topic of robots are those of landmarks."""
+    landmarks, robots = (
+        survey.observations(f'{robot}/{kind}').id_counts().keys() - {NO_ID}
+        for kind in OBSERVATION_TOPICS)
+    if len(robots) >= max(MIN_LANDMARK_IDS, len(team) + 1) and landmarks.issubset(team):
+        rules = f'/{robot}/robots:=/{robot}/landmarks' + (
+            f' /{robot}/landmarks:=/{robot}/robots' if landmarks else '')
+        yield error(
+            EXCHANGED_TOPICS, f'{robot}/robots',
+            f'its {len(robots)} IDs are those of landmarks, and {robot}/landmarks has none but'
+            ' those of robots', f'exchange the topics: --remap {rules}')
 
 
 def _not_joined(

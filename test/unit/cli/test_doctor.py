@@ -12,9 +12,10 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.doctor.rejections import CURES
 from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from helpers.faults import (
-    at, BAGS, both, columns, crowded, delayed, each, entries, floating_ids, framed, kept,
-    looped, moved, NS, of_type_pose, out_of_order, planted, recorded_late, scaled, shifted,
-    turned, twice, twist_covariance, with_pose, with_poses, without)
+    at, BAGS, both, columns, crowded, delayed, each, entries, exchanged, floating_ids, framed,
+    in_degrees, in_map, kept, looped, moved, NS, of_type_pose, out_of_order, planted,
+    recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose, with_poses,
+    without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
@@ -168,6 +169,16 @@ FAULTS = {
     'odometry in millimetres': (C, each('r1/odom', scaled(1e3)), 1, 'speed', 'r1/odom', 'metres'),
     'y to the right': (R, each('p/landmarks', columns(y=lambda y: -y)), 1, 'does_not_fit', 'p',
                        'left'),
+    'observations in map': (
+        R, in_map('p/landmarks'), 1, 'does_not_move', 'p/landmarks', 'not in map'),
+    'bearings in degrees': (
+        R, each('q/landmarks', in_degrees), 1, 'bearings', 'q/landmarks', 'radians'),
+    'exchanged topics': (
+        R, exchanged('p/landmarks', 'p/robots'), 1, 'exchanged_topics', 'p/robots',
+        '--remap /p/robots:=/p/landmarks /p/landmarks:=/p/robots'),
+    'landmarks on the topic of robots': (
+        C, exchanged('r1/landmarks', 'r1/robots'), 1, 'exchanged_topics', 'r1/robots',
+        '--remap /r1/robots:=/r1/landmarks'),
     'pose in the frame of the odometry': (
         C, with_pose('r2/set_pose', 'r2/odom', np.eye(6)), 1, 'wrong_frame', 'r2/set_pose',
         'map_frame'),
@@ -304,6 +315,22 @@ def test_landmark_ids_that_are_not_shared_are_recognised(doctor, tmp_path):
 
     assert (status, [f['name'] for f in found]) == (1, ['wrong_ids'])
     assert 'set the parameter shared_landmark_ids to false' in printed.out
+
+
+def test_maps_that_agree_are_not_said_to_have_other_ids(doctor, tmp_path):
+    # Late stamps turn the maps of robots on circles, which contradicts their robot observations.
+    world = write_parameters(
+        tmp_path / 'world.yaml', steps_per_loop=200, loops=1, rate=10.0, landmarks=40, seed=3,
+        odometry_sigma=[0.01, 0.01, 0.003], landmark_sigma=[0.05, 0.05],
+        robot_sigma=[0.05, 0.05])
+    run_verb('simulate', '--params', world, '--output', tmp_path / 'bag')
+    late = each('r1/landmarks r2/landmarks', lambda e: shifted(e, 0.4, log=True))
+
+    _, found, _ = doctor(
+        planted(tmp_path / 'late', late(entries(tmp_path / 'bag'))),
+        '--params', write_parameters(tmp_path / 'team.yaml', robots=['r1', 'r2']))
+
+    assert 'wrong_ids' not in [f['name'] for f in found]
 
 
 @pytest.mark.parametrize(('unseen', 'start', 'sigma', 'name', 'status'), [

@@ -2,6 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A wrong pose, handedness or time of a sensor is found from what it sees while it moves."""
 
+from dataclasses import replace
+from functools import partial
+
 import numpy as np
 import pytest
 
@@ -64,6 +67,33 @@ def test_the_pose_of_a_sensor_is_found(pose, ids):
     assert min(fit.as_given, fit.delayed, fit.mirrored) > 1.8
     # 2,000 pairs of 3 cm, at turns of up to 0.6 rad between the observations.
     np.testing.assert_allclose(fit.pose, pose, atol=0.02)
+
+
+def test_observations_in_map_agree_without_motion():
+    odometry, scans = data()
+    at = poses_at(np.array([scan.stamp for scan in scans]), *drive(60.0))
+
+    fit = fit_sensor(
+        odometry, [moved(scan, partial(transform, pose)) for scan, pose in zip(scans, at)])
+
+    assert fit.still == pytest.approx(0.92, abs=0.05)
+    assert min(fit.as_given, fit.moved, fit.mirrored) > 5.0
+
+
+def test_bearings_in_degrees_disagree_while_ranges_agree():
+    def in_degrees(z):
+        bearing = np.degrees(np.arctan2(z[1], z[0]))
+        return np.hypot(*z) * np.array([np.cos(bearing), np.sin(bearing)])
+
+    odometry, scans = data()
+
+    assert not fit_sensor(odometry, scans).bearings_differ
+    assert fit_sensor(odometry, [moved(scan, in_degrees) for scan in scans]).bearings_differ
+
+
+def moved(scan, change):
+    return replace(scan, observations=tuple(
+        replace(seen, z=change(seen.z)) for seen in scan.observations))
 
 
 @pytest.mark.parametrize('late', [0.1, -0.15])

@@ -18,7 +18,7 @@ from helpers.lasers import NO_WALLS
 from helpers.ros import (
     cdr, header, odometry_message, raw, run_verb, TYPES, write_bag, write_parameters)
 
-AS_GIVEN = SensorFit(500, 1.0, 1.0, np.zeros(3), True, 1.0, 0.0, 50.0)
+AS_GIVEN = SensorFit(500, 1.0, 1.0, np.zeros(3), True, 1.0, 0.0, 50.0, 50.0, False)
 WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360, 'seed': 4}
 
 
@@ -38,6 +38,10 @@ WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360
         ({'as_given': 60.0, 'moved': 50.0, 'delayed': 60.0, 'mirrored': 1.0},
          [('sensor_mirrored', 'error', 'left and right')]),
         ({'as_given': 5.0, 'moved': 1.0, 'delayed': 4.0, 'pose': np.array([0.01, 0.0, 0.01])}, []),
+        ({'as_given': 60.0, 'moved': 50.0, 'delayed': 60.0, 'still': 1.0},
+         [('does_not_move', 'error', 'stay the same')]),
+        ({'as_given': 60.0, 'moved': 50.0, 'delayed': 60.0, 'bearings_differ': True},
+         [('bearings', 'error', 'ranges')]),
     ],
 )
 def test_what_explains_a_disagreement_is_named(changes, expected):
