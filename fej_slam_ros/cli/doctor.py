@@ -20,12 +20,13 @@ from pathlib import Path
 
 from fej_slam_ros.atomic_files import write_json
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
+from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import shared_memory
 from fej_slam_ros.ros.doctor.examination import examine
-from fej_slam_ros.ros.doctor.findings import counted, Severity
+from fej_slam_ros.ros.doctor.findings import Severity
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

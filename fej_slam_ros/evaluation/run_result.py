@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.geometry import Array, poses_at
+from fej_slam_ros.core.geometry import Array, poses_at, Stamps
 from fej_slam_ros.core.ground_truth import MAX_GAP, RecordedTruth
 
 
@@ -17,7 +17,7 @@ from fej_slam_ros.core.ground_truth import MAX_GAP, RecordedTruth
 class EstimatedTrajectory:
     """Estimated poses of one robot in one frame."""
 
-    stamps: NDArray[np.int64]  #: (n,) array, ascending [ns]
+    stamps: Stamps  #: (n,) array, ascending [ns]
     #: poses, P: (n, 3) and (n, 3, 3) arrays, estimates and their covariances
     poses: Array
     P: Array
@@ -57,7 +57,7 @@ class RunResult:
 class MatchedPoses:
     """Estimated poses of one robot, each with the true pose at its stamp."""
 
-    stamps: NDArray[np.int64]  #: (n,) array [ns]
+    stamps: Stamps  #: (n,) array [ns]
     #: poses, P: (n, 3) and (n, 3, 3) arrays, estimates and their covariances
     poses: Array
     P: Array
@@ -96,7 +96,7 @@ def match(robot: str, trajectory: EstimatedTrajectory, truth: RecordedTruth) -> 
     return MatchedPoses(stamps, poses, P, np.array(true).reshape(-1, 3), trajectory.frame)
 
 
-def _is_between(stamp: int, known: NDArray[np.int64]) -> bool:
+def _is_between(stamp: int, known: Stamps) -> bool:
     """Return whether a stamp is between two known ones that are close to each other."""
     after = int(np.searchsorted(known, stamp))
     return 0 < after < len(known) and bool(known[after] - known[after - 1] <= MAX_GAP)

@@ -160,7 +160,7 @@ def test_doctor_finds_nothing_in_a_renamed_bag(renamed, capsys, renaming):
     bag, options = renamed(renaming)
 
     assert run_verb('doctor', bag, '--params', PARAMETERS, *options) == 0
-    assert 'no errors, no warnings' in capsys.readouterr().out
+    assert '0 errors, 0 warnings' in capsys.readouterr().out
 
 
 def test_calibration_of_a_renamed_bag_is_that_of_the_original(renamed, tmp_path):

@@ -50,11 +50,6 @@ def seconds(time: float) -> str:
     return f'{time / NS:.3f} s'
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a count with its noun, such as ``2 gaps``."""
-    return f'{number or "no"} {noun}{"" if number == 1 else "s"}'
-
-
 def most_frequent(counts: Mapping[str, int]) -> str:
     """Return the five most frequent names with their counts."""
     ordered = sorted(counts.items(), key=lambda item: -item[1])

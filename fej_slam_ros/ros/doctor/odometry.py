@@ -5,12 +5,12 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, Stamps
+from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.ros.doctor.findings import counted, error, Finding, seconds, warning
+from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
 from fej_slam_ros.ros.session.input_health import MIN_SPEED_SIGMA
 
@@ -37,7 +37,7 @@ def check(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     yield from _covariances(where, topic)
 
 
-def _motion(where: str, stamps: NDArray[np.int64], moved: Array) -> Iterator[Finding]:
+def _motion(where: str, stamps: Stamps, moved: Array) -> Iterator[Finding]:
     if not moved.any():
         yield warning(
             'stands_still', where, 'its pose never changes',

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, Stamps
 from fej_slam_ros.core.records import NO_ID, NS
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.messages import decoded, Message, RawMessage
@@ -30,7 +30,7 @@ class TopicSeries:
     frames: Counter[str] = field(default_factory=Counter)
     child_frames: Counter[str] = field(default_factory=Counter)
 
-    def times(self) -> NDArray[np.int64]:
+    def times(self) -> Stamps:
         """Return the distinct stamps, ascending [ns]."""
         return np.unique(np.array(self.stamps, np.int64))
 
@@ -42,7 +42,7 @@ class TopicSeries:
         """Return the median time between stamps [ns]."""
         return float(np.median(np.diff(self.times())))
 
-    def delays(self) -> NDArray[np.int64]:
+    def delays(self) -> Stamps:
         """Return log time minus stamp of each message [ns]."""
         return np.array(self.logged, np.int64) - np.array(self.stamps, np.int64)
 
@@ -64,7 +64,7 @@ class OdometrySeries(TopicSeries):
     poses: list[tuple[float, float, float]] = field(default_factory=list)
     variances: list[list[float]] = field(default_factory=list)  #: of vx, vy and wz in each twist
 
-    def increments(self) -> tuple[NDArray[np.int64], Array]:
+    def increments(self) -> tuple[Stamps, Array]:
         """
         Return the motion between consecutive stamps, two (n, 2) arrays.
 

@@ -7,12 +7,13 @@ from functools import partial
 from statistics import median
 
 import numpy as np
-from numpy.typing import NDArray
 
+from fej_slam_ros.core.geometry import Stamps
+from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
-from fej_slam_ros.ros.doctor.findings import counted, error, error_if, Finding, seconds, warning
+from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 
 #: Lower bound of a gap, in median periods: three messages in a row are lost.
@@ -134,12 +135,12 @@ def _irregular(where: str, topic: TopicSeries, settings: CommonSettings) -> Iter
             int(is_long.sum()), int(topic.times()[int(np.argmax(is_long))]))
 
 
-def _shortest_gap(steps: NDArray[np.int64], settings: CommonSettings) -> float:
+def _shortest_gap(steps: Stamps, settings: CommonSettings) -> float:
     return float(max(GAP_PERIODS * np.median(steps), 0.5 * settings.stale_after * NS))
 
 
 def _gaps(
-    where: str, times: NDArray[np.int64], shortest: float, longest_wait: float, cure: str
+    where: str, times: Stamps, shortest: float, longest_wait: float, cure: str
 ) -> Iterator[Finding]:
     steps = np.diff(times)
     gaps = np.flatnonzero(steps > shortest)
@@ -169,6 +170,6 @@ def _scans(topics: Mapping[str, TopicSeries]) -> Iterator[Finding]:
                 f' {seconds(median(others))}', 'find what drops messages or slows the detector')
 
 
-def _is_regular(steps: NDArray[np.int64]) -> bool:
+def _is_regular(steps: Stamps) -> bool:
     return len(steps) >= MIN_SCAN_PERIODS and bool(
         np.quantile(steps, REGULAR_SHARE) <= REGULAR_PERIODS * np.median(steps))

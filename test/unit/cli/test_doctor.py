@@ -232,7 +232,7 @@ def test_a_correct_bag_has_no_findings(doctor, name, with_parameters):
     status, found, printed = doctor(BAGS / name, *options)
 
     assert (status, found) == (0, [])
-    assert 'no errors, no warnings' in printed.out
+    assert '0 errors, 0 warnings' in printed.out
 
 
 def test_other_counts_in_the_metadata_are_found(doctor, tmp_path):
