@@ -50,7 +50,7 @@ ODOMETRY_HEADINGS = (
     'odometry of', 'distance', 'standard error', 'turn', 'standard error', 'turn bias [rad/s]',
     'standard error', 'pairs', 'from')
 
-#: Factor on noise beyond which something else is wrong.
+#: Factor on noise beyond which something else is probably wrong.
 MAX_USUAL = 5.0
 
 
@@ -176,10 +176,12 @@ def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
             ' seconds, as those of wheels and cameras do: if the former noise covers them, the'
             ' filter becomes overconfident; give more --seconds of a longer run, or ground truth')
     for kind, estimate in estimates.items():
-        if not 1.0 / MAX_USUAL < estimate.scales[''].scale < MAX_USUAL:
+        scale = estimate.scales[''].scale
+        if is_known(estimates, kind) and not 1.0 / MAX_USUAL < scale < MAX_USUAL:
             yield (
-                f'{kind}_noise_scale {estimate.scales[""].scale:.3g} is more than wrong noise'
-                ' explains: check units, frames and sensor poses, doctor names some of them')
+                f'{kind}_noise_scale {scale:.3g} is written, but noise is seldom wrong by more'
+                f' than a factor of {MAX_USUAL:g}: before you use it, check units, frames and'
+                ' sensor poses; doctor names some faults')
     if found.matched.counts:
         yield matched_in_words(found.matched.counts)
     without_id = collector.statistics.total(RejectionReason.NO_IDENTITY)

@@ -123,6 +123,14 @@ def test_factors_that_cover_no_errors_that_persist_are_reported(calibrate, optio
     assert (sentence in printed) == warns
 
 
+@pytest.mark.parametrize('stated', [0.5, 0.1])
+def test_a_factor_that_noise_seldom_has_is_written_with_a_warning(calibrate, places, stated):
+    _, printed, _ = calibrate(claiming(RECORDS, {Odometry: 2.0 * stated}))
+
+    assert scales(places[2])[0] == pytest.approx(1.0 / stated, rel=0.2)
+    assert ('odometry_noise_scale' in printed and 'is written, but' in printed) == (stated < 0.2)
+
+
 def test_messages_that_were_recorded_twice_count_once(calibrate, places):
     calibrate(RECORDS)
     once = places[2].read_text()
