@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Discovery without multicast, as in docs/scale.md, and the publisher of docs/tutorial.md."""
+"""Discovery without multicast, as in docs/scale.md, and the programs of docs/tutorial.md."""
 
 import json
 import os
@@ -12,11 +12,12 @@ import sys
 
 import pytest
 
+from fej_slam_ros.ros.files import bags
 from helpers.network import Network, why_none
 from helpers.optional import optional
 from helpers.paths import ROOT
 from helpers.processes import DEADLINE, start, until
-from helpers.ros import write_parameters
+from helpers.ros import run_verb, summary_of, write_parameters
 
 live_helpers = optional('helpers.live')
 
@@ -75,16 +76,20 @@ def test_nodes_discover_each_other_through_a_discovery_server(domain, tmp_path):
     assert server.poll() is None
 
 
+def program(name, folder):
+    """Save a program of the tutorial in a folder."""
+    text = TUTORIAL.read_text(encoding='utf-8').split(f'ave as `{name}`:\n\n```python\n')[1]
+    (folder / name).write_text(text.split('```')[0], encoding='utf-8')
+    return folder / name
+
+
 def test_robots_of_the_tutorial_join_one_map(domain, tmp_path):
-    text = TUTORIAL.read_text(encoding='utf-8')
-    program = tmp_path / 'publisher.py'
-    program.write_text(
-        text.split('Save as `publisher.py`:\n\n```python\n')[1].split('```')[0], encoding='utf-8')
+    publisher = program('publisher.py', tmp_path)
     domain.estimate(robots=['r1', 'r2'])
     poses = domain.listen('r2/pose', live_helpers.POSE)
     rejected = domain.listen('estimator/rejections', 'diagnostic_msgs/msg/DiagnosticStatus')
 
-    robots = [domain.ending(start(sys.executable, program, name)) for name in ('r1', 'r2')]
+    robots = [domain.ending(start(sys.executable, publisher, name)) for name in ('r1', 'r2')]
 
     domain.until(lambda: len([p for p in poses if p.header.frame_id == 'map']) > 20)
     # One correct observation in a thousand fails the gate; a robot cannot be observed before it
@@ -95,3 +100,23 @@ def test_robots_of_the_tutorial_join_one_map(domain, tmp_path):
         robot.send_signal(signal.SIGINT)
         assert robot.communicate()[1] == ''
     until(lambda: all(robot.returncode == 0 for robot in robots), bool)
+
+
+def test_the_recorder_of_the_tutorial_writes_a_bag_that_can_be_replayed(domain, tmp_path):
+    topics = [f'r1/{kind}' for kind in ('odom', 'landmarks', 'robots')]
+    odometry = domain.listen('r1/odom', 'nav_msgs/msg/Odometry')
+    recorder, robot = (
+        domain.ending(start(sys.executable, *words)) for words in (
+            (program('recorder.py', tmp_path), tmp_path / 'bag', *(f'/{name}' for name in topics)),
+            (program('publisher.py', tmp_path), 'r1')))
+
+    domain.until(lambda: len(odometry) > 60)
+    for process in (robot, recorder):
+        process.send_signal(signal.SIGINT)
+        assert process.communicate()[1] == ''
+
+    params = write_parameters(tmp_path / 'r1.yaml', robots=['r1', 'r2'])
+    assert {*topics} == bags.topics(tmp_path / 'bag').keys()
+    assert run_verb(
+        'replay', tmp_path / 'bag', '--params', params, '--output', tmp_path / 'out') == 0
+    assert summary_of(tmp_path / 'out')['robots']['r1']['steps'] > 20
