@@ -40,6 +40,7 @@ WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360
         ({'as_given': 5.0, 'moved': 1.0, 'delayed': 4.0, 'pose': np.array([0.01, 0.0, 0.01])}, []),
         ({'as_given': 60.0, 'moved': 50.0, 'delayed': 60.0, 'still': 1.0},
          [('does_not_move', 'error', 'stay the same')]),
+        ({'as_given': 60.0, 'moved': 50.0, 'delayed': 60.0, 'still': 26.0}, []),
         ({'as_given': 60.0, 'moved': 50.0, 'delayed': 60.0, 'bearings_differ': True},
          [('bearings', 'error', 'ranges')]),
     ],
