@@ -293,3 +293,11 @@ def test_with_unmatched_observations_alone_a_scan_is_no_step(smooth):
         odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(NO_ID, (1.0, 0.0))])]))
 
     assert 'rejected messages and single observations: no_identity 1' in printed
+
+
+def test_a_map_without_redundant_measurements_has_no_ratio_of_chi_square(smooth):
+    status, printed, error = smooth([
+        message for message in CIRCLES if message.topic.endswith('/odom')])
+
+    assert (status, error) == (0, '')
+    assert ', 0 degrees of freedom' in printed
