@@ -255,6 +255,17 @@ def test_a_checkpoint_of_a_live_run_is_continued_only_by_the_option(smooth, plac
     assert rest['not_in_map'] == {}
 
 
+def test_input_that_a_checkpoint_has_used_already_is_no_error(smooth, places):
+    saved = places[2].parent / 'saved'
+    live = SmootherSession(run_settings('r1', 'r2', checkpoint=str(saved)), None)
+    feed(live, MEETING)
+    save(live)
+
+    status, _, error = smooth(MEETING, '--restore', str(saved), robots=['r1', 'r2'])
+
+    assert (status, error) == (0, '')
+
+
 def test_a_missing_checkpoint_is_one_sentence(smooth):
     assert_one_sentence(
         smooth(MEETING, '--restore', '/nowhere/saved', robots=['r1', 'r2']), 1,
