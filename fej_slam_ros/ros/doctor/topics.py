@@ -8,7 +8,7 @@ from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.files import front_end_topics
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
-from fej_slam_ros.ros.topic_types import INITIALPOSE, SENT_TOPICS
+from fej_slam_ros.ros.topic_types import INITIALPOSE, SENT_TOPICS, TRUE_LANDMARKS
 
 
 def check(
@@ -68,5 +68,6 @@ def _missing(topics: Mapping[str, BagTopic], topic: str) -> str:
     if topic in topics:
         return 'the topic has no messages'
     kind = topic.rpartition('/')[2]
-    similar = ', '.join(sorted(other for other in topics if other.endswith(kind))[:4])
+    similar = ', '.join(sorted(
+        other for other in topics if other.endswith(kind) and other != TRUE_LANDMARKS)[:4])
     return 'the topic is missing' + (f' (similar topics: {similar})' if similar else '')
