@@ -25,10 +25,13 @@ def run_table(summary: Mapping[str, Any]) -> str:
         landmarks += (
             f', RMSE {summary["rmse"]["landmarks"]:.3f} m,'
             f' NEES/2 {summary["nees"]["landmarks"]:.2f}')
-    rejected = ', '.join(
-        f'{reason} {count}' for reason, count in summary['counts'].items()
-        if count and reason not in ('used', 'released_without'))
-    lines += ['', landmarks, f'rejected messages and single observations: {rejected or "none"}']
+    rejected = {
+        reason: count for reason, count in summary['counts'].items()
+        if count and reason not in ('used', 'released_without')}
+    in_words = ', '.join(f'{reason} {count}' for reason, count in rejected.items())
+    lines += ['', landmarks, f'rejected messages and single observations: {in_words or "none"}']
+    if sum(rejected.values()) > sum(r['sightings_used'] for r in summary['robots'].values()):
+        lines.append('more is rejected than observations are used: doctor names causes and cures')
     lines += [
         f'{name} is not in robots: its {count} messages are rejected'
         for name, count in unknown.items() if name]

@@ -2,10 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The table that a run prints at its end."""
 
+import pytest
+
 from fej_slam_ros.cli.run_table import run_table
 
 ROBOT = {
-    'frame': 'map', 'steps': 10, 'received': 20, 'used': 19, 'refused': 1,
+    'frame': 'map', 'steps': 10, 'received': 20, 'used': 19, 'refused': 1, 'sightings_used': 30,
     'refusals': {'late': 1}}
 SUMMARY = {
     'robots': {'r1': ROBOT, 'r2': ROBOT | {'frame': 'r2/map', 'steps': 7}},
@@ -57,10 +59,18 @@ def test_a_run_without_rejections_says_so():
     assert 'rejected messages and single observations: none' in lines_of(counts=counts)
 
 
+@pytest.mark.parametrize(('gated', 'is_named'), [(57, False), (58, True)])
+def test_where_more_is_rejected_than_used_doctor_is_named(gated, is_named):
+    # 60 observations are used, 3 others rejected.
+    lines = lines_of(counts=SUMMARY['counts'] | {'gated': gated})
+
+    assert any('doctor' in line for line in lines) == is_named
+
+
 def test_a_robot_that_was_never_in_the_team_has_no_row_but_a_reason():
     stranger = {
         'frame': 'r9/map', 'steps': 0, 'received': 5, 'used': 0, 'refused': 5,
-        'refusals': {'unknown_robot': 5}}
+        'sightings_used': 0, 'refusals': {'unknown_robot': 5}}
     left = stranger | {'refusals': {'unknown_robot': 3, 'left': 2}}
 
     lines = lines_of(robots={'r1': ROBOT, 'r8': left, 'r9': stranger})
