@@ -25,6 +25,8 @@ from fej_slam_ros.cli.run_table import matched_in_words, run_table
 from fej_slam_ros.cli.smoother import ignored_parameters
 from fej_slam_ros.cli.topic_options import names_in, node_names
 from fej_slam_ros.core.csam.message_sizes import smallest
+from fej_slam_ros.core.join_failure import counted
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.common import from_time
@@ -85,7 +87,7 @@ class SmoothedSink(offline_run.BagSink[BagSmootherSession]):
 
 
 def _tables(session: BagSmootherSession) -> Iterator[str]:
-    """Yield the fit of each map, rejected rendezvous, base nodes, and sizes of messages."""
+    """Yield fits of maps, rejected rendezvous, slips, base nodes, and sizes of messages."""
     solution = session.team.solution
     own_ids = not session.settings.estimation.shared_landmark_ids
     for solved in solution.maps:
@@ -101,6 +103,14 @@ def _tables(session: BagSmootherSession) -> Iterator[str]:
     for failed in solution.not_joined:
         if solution.has_joined(failed.robots):
             yield f'a rendezvous of {" and ".join(failed.robots)} is left out: {failed.reason}'
+    for released in solution.released:
+        intervals = ' and '.join(
+            f'from {begin / NS:.1f} to {end / NS:.1f} s'
+            for begin, end in session.team.intervals_of(released))
+        yield (
+            f'released odometry of {released.robot} {intervals}:'
+            f' {counted(released.observations, "observation")} of robots contradicted it, and a'
+            ' slip of the wheels explains all of them')
     rows = [
         (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))
         for solved in solution.maps for name, base in solved.base_nodes.items()]

@@ -80,12 +80,13 @@ def whitened_dense(problem, values):
     rows, residuals = [], []
     for kind in (problem.odometry, problem.landmarks, problem.rendezvous):
         H, r = kind.linearize(values)
-        L_inv = np.linalg.inv(np.linalg.cholesky(kind.R))
-        residuals.append((r @ L_inv.T).ravel())
-        for block, a, b in zip(H, *kind.nodes(poses)):
+        L_inv = np.linalg.inv(np.linalg.cholesky(np.broadcast_to(
+            kind.R, (len(r), *kind.R.shape[-2:]))))
+        residuals.append((L_inv @ r[:, :, None]).ravel())
+        for whitening, block, a, b in zip(L_inv, H, *kind.nodes(poses)):
             start = 3 * b if b < poses else 3 * poses + 2 * (b - poses)
             row = np.zeros((len(block), width))
             row[:, 3 * a:3 * a + 3] = block[:, :3]
             row[:, start:start + block.shape[1] - 3] += block[:, 3:]
-            rows.append(L_inv @ row)
+            rows.append(whitening @ row)
     return np.vstack(rows), np.concatenate(residuals)

@@ -54,7 +54,7 @@ def test_the_joint_map_does_not_depend_on_the_frames(reach):
         frame = rng.uniform([-reach, -reach, -np.pi], [reach, reach, np.pi])
         p, q = solved.maps[0], in_another_frame(solved.maps[1], frame)
 
-        (joint,), failed, _ = join_maps([*map(JointMap.of, (p, q))], solved.measurements)
+        (joint,), failed, *_ = join_maps([*map(JointMap.of, (p, q))], solved.measurements)
 
         assert failed == []
         assert joint.landmarks == solved.joint.landmarks

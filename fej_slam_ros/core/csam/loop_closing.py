@@ -49,7 +49,7 @@ def close_loops(joint: JointMap, loops: Sequence[Rendezvous], rules: JoinRules) 
     left = list(_without_gross_outliers(closed, loops, rules))
     while left:
         try:
-            solved = with_measurements(joint, _measurements(left)).solved()
+            solved = with_measurements(joint, measurements_of(left)).solved()
         except NoMinimumError:
             return _one_by_one(closed, left, rules)
         failures = _contradictions(solved, left, rules)
@@ -73,7 +73,8 @@ def with_measurements(joint: JointMap, measurements: Measurements) -> JointMap:
         joint.problem, rendezvous=concatenated(joint.problem.rendezvous, factors)))
 
 
-def _measurements(loops: Sequence[Rendezvous]) -> list[RendezvousMeasurement]:
+def measurements_of(loops: Sequence[Rendezvous]) -> list[RendezvousMeasurement]:
+    """Return all observations of some rendezvous."""
     return [m for loop in loops for m in loop.measurements]
 
 
@@ -81,7 +82,7 @@ def _without_gross_outliers(
     closed: ClosedLoops, loops: Sequence[Rendezvous], rules: JoinRules
 ) -> Iterator[Rendezvous]:
     """Yield the rendezvous without observations that the map contradicts by far."""
-    used = with_measurements(closed.joint, _measurements(loops))
+    used = with_measurements(closed.joint, measurements_of(loops))
     factors, limit = used.problem.rendezvous, GROSS_FACTOR * rules.limit(2)
     information = closed.joint.information([*factors.pose, *factors.target])
     for loop, r, R, HPH in _residuals(used, information, loops):
@@ -119,7 +120,7 @@ def _residuals(
     """Yield r (2 k,), R and H P H^T (2 k, 2 k) of each loop; they are the last of the map."""
     factors = joint.problem.rendezvous
     H, r = factors.linearize(joint.values)
-    end = len(r) - len(_measurements(loops))
+    end = len(r) - len(measurements_of(loops))
     for loop in loops:
         begin, end = end, end + len(loop.measurements)
         rows = slice(begin, end)

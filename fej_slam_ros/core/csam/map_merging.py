@@ -27,6 +27,7 @@ from fej_slam_ros.core.csam.rendezvous import (
 from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.csam.shared_landmarks import (
     align_by_landmarks, contradicting_landmarks, LandmarkAlignment, variance_factor)
+from fej_slam_ros.core.csam.slips import explained_loops, MIN_PER_LINK, ReleasedOdometry
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -41,6 +42,7 @@ class JoinedMaps(NamedTuple):
     failures: list[JoinFailure]
     #: observations by robot of landmarks that contradicted those of the other map
     outliers: Mapping[str, Sequence[Outlier]]
+    released: Sequence[ReleasedOdometry]  #: odometry of robots whose wheels slipped
 
 
 def join_maps(
@@ -54,7 +56,7 @@ def join_maps(
 
     """
     merger = _MapMerger(maps, measurements, rules)
-    failed = merger.apply(rendezvous_of(maps, measurements))
+    failed = merger.explain_by_slips(merger.apply(rendezvous_of(maps, measurements)))
     # Rendezvous with too few observations may suffice together.
     pooled: dict[RobotPair, list[RendezvousMeasurement]] = {}
     for rendezvous, _ in failed:
@@ -66,7 +68,7 @@ def join_maps(
         [*merger.outliers,
          *(replace(failure, robots=rendezvous.robots) for rendezvous, failure in failed),
          *(failure for _, failure in matched if failure is not None)],
-        merger.landmark_outliers)
+        merger.landmark_outliers, merger.released)
 
 
 def _matched(joint: JointMap) -> tuple[JointMap, JoinFailure | None]:
@@ -89,6 +91,7 @@ class _MapMerger:
         self.outliers: list[JoinFailure] = []
         #: landmark observations that were left out, by robot
         self.landmark_outliers: defaultdict[str, list[Outlier]] = defaultdict(list)
+        self.released: list[ReleasedOdometry] = []  #: odometry of robots whose wheels slipped
         self._rules = replace(
             rules, variance_factor=variance_factor(self.groups, rules.min_shared))
         self._aligner = RendezvousAligner(measurements, self._rules)
@@ -109,6 +112,56 @@ class _MapMerger:
         if len(failed) in {0, len(attempted)}:
             return failed
         return self.apply([rendezvous for rendezvous, _ in failed])
+
+    def explain_by_slips(self, failed: Sequence[Failed]) -> list[Failed]:
+        """Apply rendezvous that failed if a slip of a robot explains it; return the others."""
+        failed = self._with_slips(failed)
+        for rendezvous, failure in failed:
+            if self._joined_with_slip(rendezvous, failure):
+                others = [other for other, _ in failed if other is not rendezvous]
+                return self.explain_by_slips(self.apply(others))
+        return failed
+
+    def _with_slips(self, failed: Sequence[Failed]) -> list[Failed]:
+        """Close loops that failed, where a slip explains it; return the other rendezvous."""
+        left = [*failed]
+        for k in range(len(self.groups)):
+            while True:
+                group = self.groups[k]
+                own = [
+                    loop for loop, _ in left
+                    if loop.measurements and {*loop.robots} <= {*group.robots}]
+                explained = explained_loops(group, own, self._rules)
+                if explained is None:
+                    break
+                self._aligner.forget(group)
+                self.groups[k] = explained.closed.joint
+                self.released.append(explained.released)
+                self.outliers += explained.closed.outliers
+                robot = explained.released.robot
+                left = [
+                    (loop, failure) for loop, failure in left
+                    if not (loop in own and robot in loop.robots)]
+                left += explained.closed.failed
+        return left
+
+    def _joined_with_slip(self, rendezvous: Rendezvous, failure: JoinFailure) -> bool:
+        """Join maps by half of a rendezvous if a slip explains why the other half fails."""
+        p, *others = (
+            g for g in self.groups if not set(rendezvous.robots).isdisjoint(g.robots))
+        measurements = rendezvous.measurements
+        if not others or len(measurements) < 2 * MIN_PER_LINK:
+            return False
+        groups, outliers, middle = [*self.groups], [*self.outliers], len(measurements) // 2
+        halves = [
+            rendezvous._replace(measurements=half)
+            for half in (measurements[:middle], measurements[middle:])]
+        for half, other in (halves, halves[::-1]):
+            if self._join(p, others[0], half, (), []) is None and not self._with_slips(
+                    [(other, failure)]):
+                return True
+            self.groups, self.outliers = [*groups], [*outliers]
+        return False
 
     def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:
         failed: list[Failed] = []

@@ -91,6 +91,12 @@ class JointMap:
         """Return the index of each landmark by each of its keys."""
         return landmark_index(self.landmarks)
 
+    def poses_of(self, robot: str) -> range:
+        """Return the indices of the poses of a robot."""
+        first = self.first_poses[robot]
+        later = [other for other in self.first_poses.values() if other > first]
+        return range(first, min(later, default=len(self.values.poses)))
+
     def information(self, kept: Sequence[int] = ()) -> Information:
         """
         Return the information of all landmarks and of all poses but those within chains.

@@ -19,6 +19,7 @@ from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_outliers
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
+from fej_slam_ros.core.csam.slips import ReleasedOdometry
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import (
@@ -87,6 +88,8 @@ class TeamMap:
     unsolved: Mapping[str, str] = field(default_factory=dict)
     #: removed landmark observations of each robot
     outliers: Mapping[str, Sequence[Outlier]] = field(default_factory=dict)
+    #: odometry of robots whose wheels slipped
+    released: tuple[ReleasedOdometry, ...] = ()
 
     def has_joined(self, robots: Collection[str]) -> bool:
         """Return whether all these robots are in one map."""
@@ -129,7 +132,8 @@ def solve(task: SmoothingTask) -> TeamMap:
             maps.append(_in_map_frame(_smoothed(joint, keys), task))
         except NoMinimumError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
-    return TeamMap(tuple(maps), tuple(joined.failures), unsolved, outliers)
+    return TeamMap(
+        tuple(maps), tuple(joined.failures), unsolved, outliers, tuple(joined.released))
 
 
 def _led_by_first(maps: Sequence[JointMap], names: Sequence[str]) -> list[JointMap]:
@@ -148,16 +152,14 @@ def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> Smo
     values, information = joint.values, joint.information()
     P_poses, P = information.marginals()
     index = joint.landmark_index()
-    firsts = sorted(joint.first_poses.values())
-    ends = dict(zip(firsts, [*firsts[1:], len(values.poses)]))
     trajectories = {}
     for robot in joint.robots:
-        first = joint.first_poses[robot]
-        end = ends[first]
+        poses = joint.poses_of(robot)
+        own = slice(poses.start, poses.stop)
         landmarks = np.array([index[key] for key in keys[robot]], np.intp)
         trajectories[robot] = SmoothedTrajectory(
-            values.poses[first:end], P_poses[first:end], landmarks,
-            NearMarginal.of(information, values, end - 1, landmarks))
+            values.poses[own], P_poses[own], landmarks,
+            NearMarginal.of(information, values, poses[-1], landmarks))
     return SmoothedMap(
         own_frame(joint.robots[0]), trajectories, joint.base_nodes(information),
         joint.landmarks, values.points, P, joint.chi_square, joint.dof)

@@ -119,7 +119,7 @@ def solve(task: CsamTask) -> CsamSolution:
     """Make a run: each robot's own map, and the joint one."""
     truth, records = scene(*task)
     smoothing = _smoothing_task(truth.robots, records)
-    groups, failures, _ = join_maps(
+    groups, failures, *_ = join_maps(
         [*map(JointMap.of, smoothing.maps)], smoothing.measurements)
     joint = groups[0] if len(groups) == 1 else None
     return CsamSolution(

@@ -168,6 +168,9 @@ class SmootherSession(Session):
             'not_joined': [
                 {'robots': list(failed.robots), 'reason': failed.reason}
                 for failed in solution.not_joined],
+            'released_odometry': [
+                {'robot': released.robot, 'intervals_ns': self.team.intervals_of(released),
+                 'observations': released.observations} for released in solution.released],
             'unsolved': {**solution.unsolved, **self.diagnostics.failed},
             'messages': [
                 {'sender': sender, 'receiver': receiver, 'bytes': sizes,

@@ -30,7 +30,7 @@ def base_nodes(joint):
 
 def joined(team):
     """Return the single map of a team after joining."""
-    (joint,), failed, _ = joined_maps(team.maps, team.measurements)
+    (joint,), failed, *_ = joined_maps(team.maps, team.measurements)
     assert failed == []
     return joint
 
@@ -126,7 +126,7 @@ def test_merged_landmarks_keep_one_key_of_each_robot():
 
 def joined_robots(team):
     """Return the robots of each map after joining, and the failures."""
-    groups, failed, _ = joined_maps(team.maps, team.measurements)
+    groups, failed, *_ = joined_maps(team.maps, team.measurements)
     return [group.robots for group in groups], failed
 
 
@@ -142,7 +142,7 @@ def test_robots_whose_landmarks_cannot_be_merged_are_joined_and_the_others_merge
 
     with_merged_landmarks = JointMap.with_merged_landmarks
     monkeypatch.setattr(JointMap, 'with_merged_landmarks', does_not_converge)
-    (first, second), failures, _ = joined_maps(team.maps, team.measurements)
+    (first, second), failures, *_ = joined_maps(team.maps, team.measurements)
 
     assert_allclose(first.values.points, merged.values.points)
     assert (second.robots, len(second.landmarks)) == (('r3', 'r4'), 2 * len(first.landmarks))
@@ -153,7 +153,7 @@ def test_robots_whose_landmarks_cannot_be_merged_are_joined_and_the_others_merge
 def test_robots_without_rendezvous_keep_their_maps():
     team = Met(6, [])
 
-    groups, failed, _ = joined_maps(team.maps, [])
+    groups, failed, *_ = joined_maps(team.maps, [])
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
     assert failed == []
@@ -187,7 +187,7 @@ def test_an_inconsistent_loop_closure_is_left_out():
         replace(m, z=m.z + np.array([2.0, 2.0])) if m.observer == 'r3' else m
         for m in team.measurements]
 
-    (joint,), failed, _ = joined_maps(team.maps, wrong)
+    (joint,), failed, *_ = joined_maps(team.maps, wrong)
 
     assert [failure.robots for failure in failed] == [('r1', 'r3')]
     assert failed[0].reason == 'inconsistent (2 of 4 observations contradict the map)'
@@ -241,7 +241,7 @@ def test_a_landmark_from_misread_ids_only_is_left_out_of_the_map_with_fewer_obse
         observing(local, misread if local.robot == fewer else right,
                   {5: 2} if local.robot == fewer else {}) for local in team.maps]
 
-    (joint,), failed, outliers = joined_maps(maps, [])
+    (joint,), failed, outliers, _ = joined_maps(maps, [])
 
     assert failed == []
     assert [o.landmark for o in outliers[fewer]] == [('', 5)] * 2
@@ -260,7 +260,7 @@ def test_a_third_of_the_landmarks_cannot_be_outlying():
         observing(team.maps[0], [0, 1, 2, 3, 4, 5, None], {}),
         observing(team.maps[1], [0, 1, 2, 3, 5, None, 4], {4: 2, 5: 2})]
 
-    groups, failed, outliers = joined_maps(maps, [])
+    groups, failed, outliers, _ = joined_maps(maps, [])
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
     assert 'inconsistent' in failed[0].reason
@@ -322,7 +322,7 @@ def test_an_inconsistent_second_rendezvous_is_left_out():
         replace(m, z=m.z + np.array([1.0, 0.0])) if m.pose == 41 else m
         for m in team.measurements]
 
-    (joint,), failed, _ = joined_maps(team.maps, wrong)
+    (joint,), failed, *_ = joined_maps(team.maps, wrong)
 
     assert len(joint.problem.rendezvous.z) == 5
     assert [failure.robots for failure in failed] == [('r1', 'r2')]
@@ -343,7 +343,7 @@ def test_a_few_outliers_of_a_long_rendezvous_are_left_out_and_reported(wrong):
         replace(m, z=m.z + np.array([0.0, 1.5])) if k in wrong else m
         for k, m in enumerate(team.measurements)]
 
-    (joint,), notes, _ = joined_maps(team.maps, measurements)
+    (joint,), notes, *_ = joined_maps(team.maps, measurements)
 
     assert notes == [JoinFailure(
         f'{len(wrong)} of 40 observations contradict the rest', ('r1', 'r2'))]
@@ -357,7 +357,7 @@ def test_outliers_among_few_observations_cannot_be_identified():
     first, *others = team.measurements
     measurements = [replace(first, z=first.z + 1.0), *others]
 
-    groups, failed, _ = joined_maps(team.maps, measurements)
+    groups, failed, *_ = joined_maps(team.maps, measurements)
 
     assert len(groups) == 2
     assert len(failed) == 1

@@ -36,7 +36,7 @@ def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wr
     met = [(0, 1, k) for session in SESSIONS for k in session]
     team = Met(9, met, steps=66)
 
-    (joint,), failed, _ = joined_maps(team.maps, with_false_steps(team, SESSIONS[wrong]))
+    (joint,), failed, *_ = joined_maps(team.maps, with_false_steps(team, SESSIONS[wrong]))
 
     alone = [m for m in team.measurements if m.pose not in SESSIONS[wrong]]
     (expected,), *_ = joined_maps(team.maps, alone)
@@ -66,7 +66,7 @@ def test_three_rendezvous_that_agree_outvote_two_earlier_ones_with_one_lie():
     starts = range(3, 153, 30)
     team = Met(9, [(0, 1, k) for start in starts for k in range(start, start + 6)], steps=130)
 
-    (joint,), failed, _ = joined_maps(team.maps, with_false_steps(team, range(60)))
+    (joint,), failed, *_ = joined_maps(team.maps, with_false_steps(team, range(60)))
 
     true = [m for m in team.measurements if m.pose > 60]
     (expected,), *_ = joined_maps(team.maps, true)
@@ -93,7 +93,7 @@ def test_of_two_rendezvous_that_contradict_each_other_the_first_joins_the_maps()
     met = [(0, 1, k) for session in SESSIONS[:2] for k in session]
     team = Met(9, met, steps=40)
 
-    (joint,), failed, _ = joined_maps(team.maps, with_false_steps(team, SESSIONS[1]))
+    (joint,), failed, *_ = joined_maps(team.maps, with_false_steps(team, SESSIONS[1]))
 
     (expected,), *_ = joined_maps(team.maps, [m for m in team.measurements if m.pose < 9])
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
@@ -105,7 +105,7 @@ def test_a_map_with_singular_information_stays_alone_while_the_others_are_joined
     p, q, r = map(JointMap.of, team.maps)
     without = replace(q, problem=JointMap.unsolved(with_exact_odometry(team.maps[1])).problem)
 
-    maps, failed, _ = join_maps([p, without, r], team.measurements)
+    maps, failed, *_ = join_maps([p, without, r], team.measurements)
 
     assert [joint.robots for joint in maps] == [('r1', 'r3'), ('r2',)]
     assert [failure.robots for failure in failed] == [('r2', 'r3')]
