@@ -103,13 +103,13 @@ def _tables(session: BagSmootherSession) -> Iterator[str]:
     for failed in solution.not_joined:
         if solution.has_joined(failed.robots):
             yield f'a rendezvous of {" and ".join(failed.robots)} is left out: {failed.reason}'
-    for released in solution.released:
+    for released in session.released_odometry():
         intervals = ' and '.join(
             f'from {begin / NS:.1f} to {end / NS:.1f} s'
-            for begin, end in session.team.intervals_of(released))
+            for begin, end in released['intervals_ns'])
         yield (
-            f'released odometry of {released.robot} {intervals}:'
-            f' {counted(released.observations, "observation")} of robots contradicted it, and a'
+            f'released odometry of {released["robot"]} {intervals}:'
+            f' {counted(released["observations"], "observation")} of robots contradicted it, and a'
             ' slip of the wheels explains all of them')
     rows = [
         (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))

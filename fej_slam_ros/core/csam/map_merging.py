@@ -152,7 +152,8 @@ class _MapMerger:
         measurements = rendezvous.measurements
         if not others or len(measurements) < 2 * MIN_PER_LINK:
             return False
-        groups, outliers, middle = [*self.groups], [*self.outliers], len(measurements) // 2
+        groups, outliers, released = [*self.groups], len(self.outliers), len(self.released)
+        middle = len(measurements) // 2
         halves = [
             rendezvous._replace(measurements=half)
             for half in (measurements[:middle], measurements[middle:])]
@@ -160,7 +161,8 @@ class _MapMerger:
             if self._join(p, others[0], half, (), []) is None and not self._with_slips(
                     [(other, failure)]):
                 return True
-            self.groups, self.outliers = [*groups], [*outliers]
+            self.groups = [*groups]
+            del self.outliers[outliers:], self.released[released:]
         return False
 
     def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:

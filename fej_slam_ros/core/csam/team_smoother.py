@@ -19,7 +19,6 @@ from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
-from fej_slam_ros.core.csam.slips import ReleasedOdometry
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.definiteness import has_information
 from fej_slam_ros.core.estimates import PoseEstimate
@@ -165,11 +164,6 @@ class TeamSmoother(TeamInput):
                 self.statistics.reject_observation(Rejection(
                     name, self.trajectories[name].stamps[outlier.pose], RejectionReason.GATED,
                     id_, outlier.d2, outlier.limit))
-
-    def intervals_of(self, released: ReleasedOdometry) -> list[tuple[int, int]]:
-        """Return the begin and the end [ns] of each interval of released odometry."""
-        stamps = self.trajectories[released.robot].stamps
-        return [(stamps[begin], stamps[end]) for begin, end in released.intervals]
 
     def not_in_map(self) -> dict[str, str]:
         """Return the reason for each robot that is not in ``map``."""

@@ -168,15 +168,21 @@ class SmootherSession(Session):
             'not_joined': [
                 {'robots': list(failed.robots), 'reason': failed.reason}
                 for failed in solution.not_joined],
-            'released_odometry': [
-                {'robot': released.robot, 'intervals_ns': self.team.intervals_of(released),
-                 'observations': released.observations} for released in solution.released],
+            'released_odometry': self.released_odometry(),
             'unsolved': {**solution.unsolved, **self.diagnostics.failed},
             'messages': [
                 {'sender': sender, 'receiver': receiver, 'bytes': sizes,
                  'smallest': smallest(sizes)}
                 for (sender, receiver), sizes in self.message_sizes.items()],
         }
+
+    def released_odometry(self) -> list[dict[str, Any]]:
+        """Return the robot, the intervals and the observations of each slip that was found."""
+        return [
+            {'robot': released.robot, 'intervals_ns': [
+                [self.team.trajectories[released.robot].stamps[pose] for pose in interval]
+                for interval in released.intervals], 'observations': released.observations}
+            for released in self.team.solution.released]
 
     def _last_step_of(self, robot: str) -> int:
         trajectory = self.team.trajectories.get(robot)

@@ -14,13 +14,13 @@ from fej_slam_ros.cli import offline_run
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solve
 from fej_slam_ros.core.offline_matching import match
-from fej_slam_ros.core.records import NO_ID, Odometry, Scan
+from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
 from helpers.paths import BAGS
-from helpers.records import odometry, scan, team, without_ids
+from helpers.records import odometry, robot_scan, scan, team, without_ids
 from helpers.ros import (
     assert_one_sentence, csv_rows, decoded, feed, meeting, odometry_message, raw, raw_record,
     run_settings, run_verb, save, summary_of, write_bag, write_parameters)
@@ -110,6 +110,39 @@ def test_the_alignment_has_base_node_fit_and_associations(met):
     # Chi-square of 4000 degrees of freedom exceeds this with probability 1e-4.
     assert joint['chi_square'] / joint['dof'] < 1.09
     assert all([robot for robot, _ in pair] == ['p', 'q'] for pair in joint['associations'])
+
+
+def slipping():
+    """
+    Return records of r1 among landmarks, which observes r2, at 1 m/s and one step a second.
+
+    Between 10 and 12 s the wheels of r2 turn, while it stands still.
+
+    """
+    for k in range(31):
+        x, slipped = float(k), float(np.clip(k - 10, 0, 2))
+        for robot in ('r1', 'r2'):
+            yield odometry(robot, 1000 * k, [x, 0.0, 0.0], 1e-4 * np.eye(3))
+        yield scan('r1', 1000 * k, [(i, (10.0 * i - x, 5.0)) for i in range(4)])
+        yield robot_scan('r1', 1000 * k, [('r2', (-slipped, 3.0))])
+
+
+def test_released_odometry_is_stated_with_its_time(smooth, places):
+    records = [raw_record(record, {'r1': 1, 'r2': 2}) for record in slipping()]
+
+    status, printed, error = smooth(records, robots=['r1', 'r2'])
+
+    assert (status, error) == (0, '')
+    line, = [line for line in printed.splitlines() if line.startswith('released')]
+    assert line == (
+        'released odometry of r2 from 10.0 to 12.0 s: 15 observations of robots contradicted it,'
+        ' and a slip of the wheels explains all of them')
+    released, = alignment_of(places[2])['released_odometry']
+    assert released == {
+        'robot': 'r2', 'intervals_ns': [[10 * NS, 12 * NS]], 'observations': 15}
+    # The position of r2 at the end, by the last observation of it.
+    end = csv_rows(places[2] / 'trajectory_r2.csv')[-1]
+    assert_allclose([float(end['x']), float(end['y'])], [28.0, 3.0], atol=0.01)
 
 
 def test_ids_list_the_merged_landmarks(met):

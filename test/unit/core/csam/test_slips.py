@@ -83,7 +83,8 @@ def test_observations_that_are_wrong_for_a_while_are_left_out(seed):
     team = team_of(seed, ALWAYS)
     team.maps[2].problem.odometry.z[SLIP] -= TOO_MUCH
     wrong = [
-        replace(m, z=m.z + [0.0, 2.0]) if 20 <= m.pose < 32 else m for m in team.measurements]
+        replace(m, z=m.z + np.array([0.0, 2.0])) if 20 <= m.pose < 32 else m
+        for m in team.measurements]
 
     _, failed, _, released = joined_maps(team.maps, wrong)
 
