@@ -50,9 +50,11 @@ MIN_POSITION_WINDOWS = 5
 #: tails of real noise, and so give factors that are too small.
 OUTLIER_PROBABILITY = 1e-6
 
-#: Largest standard error of a usable factor of the team, and of one of a single robot, relative.
+#: Largest standard error of a usable factor, and of one of a robot like the others, relative.
 MAX_RELATIVE_ERROR = 0.15
 MAX_OWN_ERROR = 0.05
+#: Number of standard errors from which on a robot's factor differs from that of the others.
+DIFFERENT = 4.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,11 +95,40 @@ def _outlier_limit(dof: int) -> float:
 
 
 def noise_scales(errors: Errors, dof: int) -> dict[str, NoiseScale]:
-    """Return the factor of the team under '', and those of robots with enough data."""
+    """
+    Return the factor of the team under '', and those of robots that have their own.
+
+    These have enough data, or differ from all others, whose factor is then that of the team.
+
+    """
     own = {robot: noise_scale(squared, dof) for robot, squared in errors.items() if squared}
-    pooled = noise_scale([d2 for squared in errors.values() for d2 in squared], dof)
-    return {'': pooled} | {
-        robot: found for robot, found in own.items() if found.relative_error <= MAX_OWN_ERROR}
+    different: set[str] = set()
+    while (robot := _most_different(errors, own, different, dof)) is not None:
+        different.add(robot)
+    return {'': _without(errors, different, dof)} | {
+        robot: found for robot, found in own.items()
+        if robot in different or found.relative_error <= MAX_OWN_ERROR}
+
+
+def _most_different(
+    errors: Errors, own: Mapping[str, NoiseScale], excluded: set[str], dof: int
+) -> str | None:
+    """Return the robot whose known factor differs most from that of the others, None if none."""
+    rest = own.keys() - excluded
+    distances = {}
+    for robot in sorted(rest if len(rest) > 1 else ()):
+        others = _without(errors, excluded | {robot}, dof)
+        if own[robot].is_known() and others.is_known():
+            distances[robot] = abs(math.log(own[robot].scale / others.scale)) / math.hypot(
+                own[robot].relative_error, others.relative_error)
+    different = [robot for robot, distance in distances.items() if distance > DIFFERENT]
+    return max(different, key=distances.__getitem__, default=None)
+
+
+def _without(errors: Errors, excluded: set[str], dof: int) -> NoiseScale:
+    """Return the factor of all robots but the excluded ones."""
+    return noise_scale(
+        [d2 for robot, squared in errors.items() if robot not in excluded for d2 in squared], dof)
 
 
 def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str, Errors]:

@@ -4,12 +4,13 @@
 
 from collections import Counter, defaultdict
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 from scipy.optimize import nnls
 
 from fej_slam_ros.core.calibration.from_truth import (
-    DOF, noise_scale, noise_scales, normalized_errors)
+    DOF, noise_scale, normalized_errors)
 from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.camera_errors import (
@@ -167,7 +168,7 @@ def _odometry_variance_factor(data: MrclamSet, options: ConversionOptions) -> fl
     errors = normalized_errors(motions, settings(data, options))
     if 'odometry' not in errors:
         return 1.0
-    found = noise_scales(errors['odometry'], DOF['odometry'])['']
+    found = noise_scale([*chain.from_iterable(errors['odometry'].values())], DOF['odometry'])
     return found.scale ** 2 if found.is_known() else 1.0
 
 

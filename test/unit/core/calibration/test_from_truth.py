@@ -145,6 +145,20 @@ def test_a_robot_with_little_data_has_the_factor_of_the_team():
     assert scales(simulated(1, loops=1))['odometry'].keys() == {''}
 
 
+def test_one_robot_that_differs_has_its_own_factor_also_with_little_data():
+    rng = np.random.default_rng(1)
+    errors = {
+        f'r{k}': (factor ** 2 * rng.chisquare(2, 60)).tolist()
+        for k, factor in enumerate((1.0, 1.0, 4.0, 1.0))}
+
+    found = noise_scales(errors, 2)
+
+    # The team's factor is that of the others.
+    assert found.keys() == {'', 'r2'}
+    assert [found[robot].scale for robot in ('', 'r2')] == pytest.approx([1.0, 4.0], rel=0.2)
+    assert found[''].samples == 180
+
+
 def test_outliers_do_not_change_the_factor():
     right = scales(simulated(1))['landmark']['']
     moved = [
