@@ -25,9 +25,10 @@ RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
 #: Gain of the log-likelihood by a constant part of that noise from which there is one: of three
 #: standard deviations, 4.5, for errors that persist over ten observations.
 MIN_GAIN = 45.0
-#: Upper bound of the delay of a camera, length of the intervals in each of which a minimum is
-#: sought, as the fit has several, and standard deviation of the delay where no robot turns [s].
-MAX_CAMERA_DELAY, DELAY_INTERVAL, CAMERA_DELAY_SIGMA = 0.6, 0.2, 0.05
+#: Begins of the intervals in each of which the delay of cameras is sought, as the fit has several
+#: minima, their length, and the standard deviation of the delay where no robot turns [s]. Against
+#: ground truth that is stamped late, delays are negative.
+DELAY_BEGINS, DELAY_INTERVAL, CAMERA_DELAY_SIGMA = (-0.2, 0.0, 0.2, 0.4), 0.2, 0.05
 
 
 def bearing_offsets(
@@ -98,7 +99,7 @@ def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
 
     found = [
         minimize_scalar(cost, bounds=(begin, begin + DELAY_INTERVAL), options={'xatol': 1e-3})
-        for begin in np.arange(0.0, MAX_CAMERA_DELAY, DELAY_INTERVAL)]
+        for begin in DELAY_BEGINS]
     return float(min(found, key=lambda minimum: minimum.fun).x)
 
 

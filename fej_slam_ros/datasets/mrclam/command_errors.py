@@ -19,8 +19,8 @@ from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, slowing_rates, speeds,
     sums_between, unknown_motion)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
+from fej_slam_ros.datasets.mrclam.motion_capture import truth_sigma
 from fej_slam_ros.datasets.mrclam.observation_errors import rms, true_poses
-from fej_slam_ros.datasets.mrclam.run_settings import TRUTH_SIGMA
 from fej_slam_ros.datasets.mrclam.series import Series
 
 #: Windows [s] over which increments are compared for the delay, and between true poses for the
@@ -137,8 +137,8 @@ def _displacements(log: RobotLog, options: ConversionOptions) -> tuple[Array, Ar
     off = wrap_all(np.diff(true.rows[:, 2]) - np.diff(at_true))
     turned = np.exp(1j * (true.rows[:-1, 2] - at_true[:-1] + off / 2.0))
     columns = (sums[:, [0, 2]] + 1j * sums[:, [1, 3]]) * turned[:, None]
-    variances = sums[:, 6] + 2.0 * TRUTH_SIGMA[0] ** 2 + (
-        np.square(sums[:, 4]) * (sums[:, 8] / 12.0 + TRUTH_SIGMA[2] ** 2))
+    x, _, phi = np.square(truth_sigma(log.truth))
+    variances = sums[:, 6] + 2.0 * x + np.square(sums[:, 4]) * (sums[:, 8] / 12.0 + phi)
     weights = (np.diff(true.stamps) <= MAX_TRUTH_WINDOW * NS) * (sums[:, 5] == 0.0) / variances
     return (
         np.vstack([columns.real, columns.imag]),
@@ -172,7 +172,7 @@ def _own_turns(log: RobotLog, options: ConversionOptions) -> tuple[float, float]
     headings = poses_at(true.stamps, stamps, poses)[:, 2]
     errors = wrap_all(np.diff(true.rows[:, 2]) - np.diff(headings))
     used = np.diff(true.stamps) <= MAX_TRUTH_WINDOW * NS
-    weights = used / (variances + 2.0 * TRUTH_SIGMA[2] ** 2)
+    weights = used / (variances + 2.0 * truth_sigma(log.truth)[2] ** 2)
     A = np.column_stack([driven, turned])
     N = (A.T * weights) @ A + np.diag(OWN_TURN_SIGMA ** -2)
     per_metre, per_radian = np.linalg.solve(N, A.T @ (weights * errors)).tolist()

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, Flags, Indices, Stamps, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, Stamps
 from fej_slam_ros.core.ordering.backward_stamps import breaks
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
@@ -24,6 +24,7 @@ from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP
 from fej_slam_ros.datasets.mrclam.clocks import in_order
+from fej_slam_ros.datasets.mrclam.motion_capture import without_slips
 from fej_slam_ros.datasets.mrclam.series import drop, Series
 from fej_slam_ros.errors import UserError
 
@@ -41,17 +42,6 @@ MAX_DISTANCE = 24 * 3600 * NS
 #: Maximum number of successive commands whose stamps are damaged; more are of another clock.
 MAX_STRAYS = 10
 FAR_STAMP = 'stamp far from those of other rows'
-#: Motion capture has slipped if it is faster than SPEED_MARGIN times the fastest command by more
-#: than TRUTH_NOISE [m, m, rad]; true poses within SLIP_MARGIN [ns] of a slip are dropped, and at
-#: most MAX_SLIP_TIME [ns] between two slips if the robot can have moved without them.
-SPEED_MARGIN = 1.25
-TRUTH_NOISE = np.array([0.02, 0.02, 0.02])
-SLIP_MARGIN = NS // 4
-MAX_SLIP_TIME = 10 * NS
-#: Largest share of true poses near slips; where there are more, units or the robot are wrong, and
-#: the rest of them fits by chance.
-MAX_SLIPPED = 0.9
-UNUSABLE_TRUTH = 'truth that jumps nearly everywhere (is it of this robot, in metres and radians?)'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,7 +196,7 @@ def _checked(log: RobotLog, ordered: ClockPart) -> RobotLog:
     commands = drop(commands, replaced, 'command replaced at its own stamp', counts)
     return replace(
         log, commands=commands, observations=_once_in_scan(ordered.observations, counts),
-        truth=_without_slips(log.truth, commands, counts), clock_changes=ordered.clock_changes)
+        truth=without_slips(log.truth, commands, counts), clock_changes=ordered.clock_changes)
 
 
 def _identified(
@@ -230,39 +220,6 @@ def _once_in_scan(observations: Series, counts: Counter[str]) -> Series:
     keys = np.column_stack([observations.stamps, observations.rows[:, 0].astype(np.int64)])
     repeated[np.unique(keys, axis=0, return_index=True)[1]] = False
     return drop(observations, repeated, 'seen twice in one scan', counts)
-
-
-def _without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Series:
-    """Return one true pose for each stamp, without those near jumps that no robot can make."""
-    repeated = np.diff(truth.stamps, prepend=-1) == 0
-    truth = drop(truth, repeated, 'truth repeated at one stamp', counts)
-    if not len(commands):
-        return truth
-    v, w = SPEED_MARGIN * np.abs(commands.rows).max(axis=0)
-
-    def is_jump(before: Indices, after: Indices) -> Flags:
-        steps = np.abs(truth.rows[after] - truth.rows[before])
-        steps[:, 2] = np.abs(wrap_all(truth.rows[after, 2] - truth.rows[before, 2]))
-        dt = (truth.stamps[after] - truth.stamps[before]) / NS
-        jumps: Flags = (steps > TRUTH_NOISE + dt[:, None] * [v, v, w]).any(axis=1)
-        return jumps
-
-    rows = np.arange(len(truth))
-    jumps = np.flatnonzero(is_jump(rows[:-1], rows[1:]))
-    # Either of the two poses at a jump may be wrong. What lies between two of them is displaced if
-    # the robot can have moved without it.
-    before, after = jumps[:-1], jumps[1:] + 1
-    is_displaced = ~is_jump(before, after) & (
-        truth.stamps[after] - truth.stamps[before] <= MAX_SLIP_TIME)
-    before, after = np.append(jumps, before[is_displaced]), np.append(
-        jumps + 1, after[is_displaced])
-    begins = np.sort(truth.stamps[before] - SLIP_MARGIN)
-    ends = np.sort(truth.stamps[after] + SLIP_MARGIN)
-    inside = np.searchsorted(begins, truth.stamps) - np.searchsorted(ends, truth.stamps, 'right')
-    slipped = inside > 0
-    if slipped.sum() > MAX_SLIPPED * len(truth):
-        return drop(truth, np.ones(len(truth), dtype=bool), UNUSABLE_TRUTH, counts)
-    return drop(truth, slipped, 'truth at a jump', counts)
 
 
 def _series(path: Path, columns: int, counts: Counter[str]) -> Series:

@@ -19,6 +19,7 @@ from fej_slam_ros.datasets.mrclam.conversion import (
     bearing_offset, ConversionOptions, increment_variances, observations, odometry,
     odometry_stamps, robot_name, sums_between)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
+from fej_slam_ros.datasets.mrclam.motion_capture import truth_sigma
 from fej_slam_ros.datasets.mrclam.series import Series
 
 #: The estimator waits for robots over gaps in which commands are trusted [s].
@@ -29,9 +30,8 @@ GATE_PROBABILITY = 0.99999
 #: Standard deviation of the heading at which a robot joins [rad]: for the same reason a few
 #: observations carry less information than their covariances state.
 JOIN_HEADING_SIGMA = 0.05
-#: Standard deviations of motion capture [m, m, rad], and the maximum time [ns] from a robot's
-#: first odometry to the true pose from which its start is computed.
-TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])
+#: Maximum time [ns] from a robot's first odometry to the true pose from which its start is
+#: computed.
 MAX_START_DELAY = 300 * NS
 #: Standard deviation of the heading at its start [rad] above which the anchor begins at its first
 #: true pose instead.
@@ -84,7 +84,8 @@ def start(log: RobotLog, options: ConversionOptions) -> Start | None:
     (reached,) = poses_at(log.truth.stamps[first:first + 1], stamps, poses)
     back = between(reached, poses[0])
     pose = compose(log.truth.rows[first], back)
-    variances = increment_variances(log, options)[:k].sum(axis=0) + np.square(TRUTH_SIGMA)
+    variances = increment_variances(log, options)[:k].sum(axis=0) + np.square(
+        truth_sigma(log.truth))
     # The robot has turned meanwhile, which mixes errors ahead and to the left.
     variances[:2] = variances[:2].max() + variances[2] * (back[:2] @ back[:2])
     return _triple(pose), _triple(np.sqrt(variances))
@@ -149,7 +150,7 @@ def _frame_variance(
     begin = stamps[0]
     if start_sigma > GOOD_HEADING_SIGMA:
         begin = log.truth.stamps[np.searchsorted(log.truth.stamps, begin)]
-        start_sigma = TRUTH_SIGMA[2]
+        start_sigma = float(truth_sigma(log.truth)[2])
     seen = of_landmarks.stamps[of_landmarks.stamps >= begin]
     if not len(seen):
         return math.inf
@@ -170,7 +171,7 @@ def _has_turned(log: RobotLog, end: int, options: ConversionOptions) -> bool:
     ends = true.stamps[[0, -1]]
     (turned,) = np.diff(true.rows[[0, -1], 2] - poses_at(ends, stamps, poses)[:, 2])
     ((variance,),) = sums_between(ends, stamps, increment_variances(log, options)[:, 2:])
-    sigma = math.sqrt(variance + 2.0 * TRUTH_SIGMA[2] ** 2)
+    sigma = math.sqrt(variance + 2.0 * truth_sigma(log.truth)[2] ** 2)
     return abs(wrap(turned)) > min(MAX_FRAME_TURN, MAX_FRAME_SIGMAS * sigma)
 
 

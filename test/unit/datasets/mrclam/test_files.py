@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.datasets.mrclam.files import read
+from fej_slam_ros.datasets.mrclam.motion_capture import TRUTH_SIGMA, truth_sigma
 from fej_slam_ros.errors import UserError
 from helpers.mrclam import STRAIGHT, write_set
 
@@ -163,6 +164,39 @@ def test_true_headings_in_degrees_are_not_used(read_set):
     (reason, count), = (+log.counts).items()
     assert (len(log.commands), len(log.truth), count) == (300, 0, 300)
     assert 'in metres and radians?' in reason
+
+
+def noisy_truth(sigma):
+    """Return true poses of a robot at 10 cm/s, twenty a second, with noise."""
+    rng = np.random.default_rng(1)
+    return np.column_stack([
+        100.0 + 0.05 * np.arange(200), 0.005 * np.arange(200), np.zeros((200, 2))
+    ]) + np.insert(rng.normal(0.0, sigma, (200, 3)), 0, 0.0, axis=1)
+
+
+def test_noise_of_true_poses_is_no_jump(read_set):
+    truth = read_set(Robot1_Groundtruth=noisy_truth(0.03).tolist()).logs[1].truth
+
+    assert len(truth) == 200
+    # The median of 198 correlated differences is known to 10 %.
+    assert truth_sigma(truth) == pytest.approx([0.03] * 3, rel=0.3)
+
+
+def test_a_jump_is_found_in_the_noise_of_true_poses(read_set):
+    rows = noisy_truth(0.02)
+    rows[100:, 1] += 0.5
+
+    truth = read_set(Robot1_Groundtruth=rows.tolist()).logs[1].truth
+
+    # A quarter of a second on either side, five poses.
+    assert len(truth) == 190
+    assert not len(truth.between(104_751_000_000, 105_199_000_000))
+
+
+def test_the_noise_of_sparse_true_poses_is_not_measured(read_set):
+    truth = read_set(Robot1_Groundtruth=noisy_truth(0.03)[::40].tolist()).logs[1].truth
+
+    np.testing.assert_array_equal(truth_sigma(truth), TRUTH_SIGMA)
 
 
 def test_motion_capture_across_a_half_turn_does_not_jump(read_set):
