@@ -17,8 +17,8 @@ from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.covariance import SparseRows
 from fej_slam_ros.core.ekf.gating import (
-    Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
-    StatisticsByRobot)
+    Association, curved_distances, CURVED_ITERATIONS, Gate, GatedObservation, GateResult,
+    RobotAssociation, scan_gate_statistics, StatisticsByRobot)
 from fej_slam_ros.core.ekf.joint_covariance import reserve
 from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
@@ -172,12 +172,17 @@ class Filter:
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
         H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)
         update = joint_update(state.covariance, H, stack.R)      # 3. S = H P H^T + R
-        gated = self.gate.apply(observations, r, update.own())   # 4. gate each by S_ii
+        S_ii = update.own()
+        gated = self.gate.apply(observations, r, S_ii, lambda: curved_distances(  # 4. gate each
+            r, S_ii, H.blocks, state.covariance.blocks(stack.columns)))
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
         innovation, S = r.ravel(), update.S
         x_prior, r, corrections = state.x_hat, innovation, []
-        for _ in range(self._iterations - 1):                    # Gauss-Newton: 1. to 5. again
+        iterations = self._iterations
+        if gated.is_curved:
+            iterations = max(iterations, CURVED_ITERATIONS)
+        for _ in range(iterations - 1):                          # Gauss-Newton: 1. to 5. again
             corrections.append(update.correction(r))
             if len(corrections[-1].y) < len(r):
                 state.x_hat = x_prior
