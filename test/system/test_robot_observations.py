@@ -100,7 +100,8 @@ def test_only_landmark_scans_are_inflated():
         *(Association(observer, seen, RobotObservation('r2', np.zeros(2), R)) for _ in range(4))]
 
     sifted = InflatingGate(0.99).apply(
-        scanned, np.full((7, 2), 10.0), np.tile(2.0 * np.eye(2), (7, 1, 1)))
+        scanned, np.full((7, 2), 10.0), np.tile(2.0 * np.eye(2), (7, 1, 1)),
+        lambda: np.full(7, np.inf))
 
     assert [g.association.observed for g in sifted.rejected] == 4 * [seen]
     assert [g.association.observed for g in sifted.inflated] == landmarks

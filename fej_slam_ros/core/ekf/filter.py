@@ -8,6 +8,7 @@ predicted poses, then one joint update with all observations of known landmarks 
 """
 
 from collections.abc import Iterable, Sequence
+from functools import partial
 from itertools import repeat
 from typing import NamedTuple
 
@@ -16,9 +17,10 @@ import numpy as np
 from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.covariance import SparseRows
+from fej_slam_ros.core.ekf.curved_errors import curved_distances
 from fej_slam_ros.core.ekf.gating import (
-    Association, curved_distances, CURVED_ITERATIONS, Gate, GatedObservation, GateResult,
-    RobotAssociation, scan_gate_statistics, StatisticsByRobot)
+    Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
+    StatisticsByRobot)
 from fej_slam_ros.core.ekf.joint_covariance import reserve
 from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
@@ -172,16 +174,13 @@ class Filter:
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
         H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)
         update = joint_update(state.covariance, H, stack.R)      # 3. S = H P H^T + R
-        S_ii = update.own()
-        gated = self.gate.apply(observations, r, S_ii, lambda: curved_distances(  # 4. gate each
-            r, S_ii, H.blocks, state.covariance.blocks(stack.columns)))
+        gated = self.gate.apply(                                 # 4. gate each by S_ii
+            observations, r, update.own(), partial(self._curved_distances, r, stack.R, H))
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
         innovation, S = r.ravel(), update.S
         x_prior, r, corrections = state.x_hat, innovation, []
-        iterations = self._iterations
-        if gated.is_curved:
-            iterations = max(iterations, CURVED_ITERATIONS)
+        iterations = max(self._iterations, gated.iterations)
         for _ in range(iterations - 1):                          # Gauss-Newton: 1. to 5. again
             corrections.append(update.correction(r))
             if len(corrections[-1].y) < len(r):
@@ -195,6 +194,10 @@ class Filter:
         return Innovation(
             observations[:used], corrections[0].y[:2 * used], log_det=corrections[0].log_det,
             interrupted=observations[used:], r=innovation[:2 * used], S=S)
+
+    def _curved_distances(self, r: Array, R: Array, H: SparseRows) -> Array:
+        """Return the squared distances (m,) of innovations if errors lie on arcs."""
+        return curved_distances(r, R, H.blocks, self.state.covariance.blocks(H.columns))
 
     def _note_used(self, observations: Sequence[Association]) -> None:
         """Note which robots an update has observed, or used observations of."""

@@ -5,16 +5,16 @@
 from collections import defaultdict
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-import math
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.ekf.curved_errors import ITERATIONS
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import Landmark, Robot
-from fej_slam_ros.core.geometry import Array, Flags, perpendicular
+from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.records import AnyObservation
 
 #: Median of chi-square with 2 degrees of freedom, that of the squared distances of correct data.
@@ -30,10 +30,6 @@ MIN_TRUSTED = 2
 #: closes a loop, whole scans fail.
 CONTRADICTION_PROBABILITY = 1e-9
 CONTRADICTION_D2 = float(chdtri(2, CONTRADICTION_PROBABILITY))
-
-#: Iterations of a distance along an arc and, at least, of an update that accepts an observation by
-#: it: the first one is linear.
-CURVED_ITERATIONS = 5
 
 #: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60
@@ -78,7 +74,7 @@ class GateResult(NamedTuple):
     rejected: Sequence[GatedObservation] = ()
     #: observations among the accepted ones that passed with inflated noise only
     inflated: Sequence[GatedObservation] = ()
-    is_curved: bool = False  #: whether some passed by their `curved_distances` only
+    iterations: int = 1  #: least number of Gauss-Newton iterations of the update
 
 
 @dataclass(slots=True)
@@ -171,23 +167,25 @@ class Gate:
 
     def apply(
         self, observations: Sequence[Association], r: Array, S: Array,
-        curved: Callable[[], Array] | None = None,
+        curved_distances: Callable[[], Array],
     ) -> GateResult:
         """
-        Return the observations to use, given their innovations as in `test`.
+        Return the observations to use.
 
-        Those that fail pass if their `curved_distances` (m,), if these are given, do.
+        Parameters
+        ----------
+        observations : m observations
+        r, S : their innovations as in `test`
+        curved_distances : function to their squared distances (m,) if errors lie on arcs, by which
+            those that fail may pass, too
 
         """
         passed, d2 = self.test(r, S)
         if all(passed.tolist()):
             return GateResult(observations)
-        is_curved = False
-        if curved is not None:
-            on_arcs = curved()
-            passes = ~passed & (on_arcs <= self.threshold)
-            is_curved, passed = bool(passes.any()), passed | passes
-            d2 = np.where(passes, on_arcs, d2)
+        on_arcs = curved_distances()
+        are_curved = ~passed & (on_arcs <= self.threshold)
+        passed, d2 = passed | are_curved, np.where(are_curved, on_arcs, d2)
         suspected = self._suspected(observations, d2)
         observations, used = self._selected(observations, r, S, passed, suspected)
         results = [
@@ -197,7 +195,7 @@ class Gate:
             [a for a, is_used in zip(observations, used) if is_used],
             [g for g, is_used in zip(results, used) if not is_used],
             [g for g, is_used, inside in zip(results, used, passed) if is_used and not inside],
-            is_curved)
+            ITERATIONS if are_curved.any() else 1)
 
     def _selected(
         self, observations: Sequence[Association], r: Array, S: Array, passed: Flags,
@@ -241,42 +239,6 @@ class InflatingGate(Gate):
             for a, noise in zip(observations, scale * R)]
         d2 = squared_distances(r, S + (scale - 1.0) * R)
         return inflated, passed | (d2 <= self.threshold)
-
-
-def curved_distances(r: Array, S: Array, H: Array, P: Array) -> Array:
-    """
-    Return the squared distances (m,) of innovations whose errors lie on arcs.
-
-    A robot whose heading is off by d is so on an arc around the place where it was last known: its
-    position and with it the linear error e of an observation turn by -d / 2. So the innovation is
-    V(-d) e, with V of the exponential map of SE(2), and not e. The distance is that of the most
-    likely e and d, by Gauss-Newton.
-
-    Parameters
-    ----------
-    r : (m, 2) array, innovations
-    S : (m, 2, 2) array, the covariance of each
-    H : (m, 2, 5) array, Jacobians by the observer's pose and the observed point
-    P : (m, 5, 5) array, covariances of these
-
-    """
-    # e and d are linear in the errors of pose and point.
-    A = np.concatenate([H, np.broadcast_to(np.eye(5)[2], (len(r), 1, 5))], axis=1)
-    Y = A @ P @ A.transpose(0, 2, 1)
-    R, y = S - Y[:, :2, :2], np.zeros((len(r), 3))
-    for _ in range(CURVED_ITERATIONS):
-        half = -0.5 * y[:, 2]
-        c, s = np.sinc(half / math.pi)[:, None] * (np.cos(half)[:, None], np.sin(half)[:, None])
-        e = c * y[:, :2] + s * perpendicular(y[:, :2])
-        B = np.stack([
-            np.hstack([c, s]), np.hstack([-s, c]), -0.5 * perpendicular(e)], axis=2)
-        BY = B @ Y
-        S_y = BY @ B.transpose(0, 2, 1) + R
-        u = r - e + np.einsum('kij,kj->ki', B, y)
-        solved = np.linalg.solve(S_y, u[..., None])
-        y = (BY.transpose(0, 2, 1) @ solved)[..., 0]
-    distances: Array = np.einsum('ki,ki->k', u, solved[..., 0])
-    return distances
 
 
 def _involve(robots: Container[str], observations: Sequence[Association]) -> Flags:

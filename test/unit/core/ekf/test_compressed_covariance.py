@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core import frame_groups, pieces
-from fej_slam_ros.core.ekf import compressed_covariance, joint_covariance, joint_update
+from fej_slam_ros.core.ekf import (
+    compressed_covariance, joint_covariance, joint_update, matrix_product)
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance, LEAVING_RATE
 from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows
@@ -134,7 +135,7 @@ def test_leaving_a_submap_that_ends_early_changes_nothing(monkeypatch):
     _, region, slots = whole_and_region(np.random.default_rng(1))
     joint, dx = happen(region, slots, np.random.default_rng(2))
     before = region.marginal(joint)
-    monkeypatch.setattr(pieces, 'PIECE_FLOPS', 1.0)
+    monkeypatch.setattr(matrix_product, 'PIECE_FLOPS', 1.0)
 
     with pieces.between_pieces(lambda: None, lambda: True), pytest.raises(pieces.EndedError):
         region.leave(dx, may_end=True)
