@@ -18,13 +18,14 @@ from typing import TypeVar
 import numpy as np
 
 from fej_slam_ros.core.definiteness import is_definite, is_semidefinite
-from fej_slam_ros.core.geometry import Array, symmetric
+from fej_slam_ros.core.geometry import Array, between, compose, poses_at, symmetric
+from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import divided
 from fej_slam_ros.errors import UserError
@@ -107,10 +108,42 @@ def read(folder: Path) -> list[Record]:
 
 
 def settings(records: Iterable[Record]) -> Settings:
-    """Return the default settings of a team: the robots with odometry, the first as anchor."""
-    names = dict.fromkeys(record.robot for record in records if isinstance(record, Odometry))
-    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(sorted(names), start=1))
-    return Settings(robots, anchor=robots[0].name)
+    """
+    Return the default settings of a team: the robots with odometry, the first as anchor.
+
+    The anchor starts at its true pose if that is known, else at the origin.
+
+    """
+    of_robots: dict[str, list[Odometry]] = defaultdict(list)
+    true_poses: dict[str, list[TruePose]] = defaultdict(list)
+    for record in records:
+        if isinstance(record, Odometry):
+            of_robots[record.robot].append(record)
+        elif isinstance(record, TruePose):
+            true_poses[record.robot].append(record)
+    anchor, *_ = names = sorted(of_robots)
+    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(names, start=1))
+    start = _true_start(of_robots[anchor], true_poses[anchor])
+    return Settings(robots, anchor=anchor) if start is None else Settings(
+        robots, anchor=anchor, anchor_pose=start)
+
+
+def _true_start(odometry: Sequence[Odometry], true_poses: Iterable[TruePose]) -> Triple | None:
+    """
+    Return a robot's true pose at its first odometry, None if it is not known.
+
+    Odometry leads back from the first true pose since then, at most `MAX_GAP` later.
+
+    """
+    begin = odometry[0].stamp
+    first = next((true for true in true_poses if true.stamp >= begin), None)
+    if first is None or first.stamp > begin + MAX_GAP:
+        return None
+    (reached,) = poses_at(
+        np.array([first.stamp]), np.array([record.stamp for record in odometry]),
+        np.array([record.pose for record in odometry]))
+    x, y, phi = compose(first.pose, between(reached, odometry[0].pose)).tolist()
+    return x, y, phi
 
 
 def _require_odometry(folder: Path, records: Iterable[Record]) -> None:

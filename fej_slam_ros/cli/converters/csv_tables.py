@@ -15,6 +15,7 @@ from collections.abc import Iterable, Iterator
 
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, TruePose
+from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import csv_tables
 
 SUMMARY = 'CSV tables of any robots'
@@ -27,10 +28,11 @@ def add_arguments(parser: ArgumentParser) -> None:
 def convert(arguments: Namespace) -> None:
     """Write the bag and print the number of its records."""
     records = csv_tables.read(arguments.input)
-    write(records, csv_tables.settings(records), arguments, _report(records))
+    settings = csv_tables.settings(records)
+    write(records, settings, arguments, _report(records, settings))
 
 
-def _report(records: Iterable[Record]) -> Iterator[str]:
+def _report(records: Iterable[Record], settings: Settings) -> Iterator[str]:
     kinds = {Odometry: 'odometry', Scan: 'scans', RobotScan: 'robot scans', TruePose: 'true poses'}
     counts = Counter(
         (record.robot, kinds[type(record)]) for record in records
@@ -38,3 +40,5 @@ def _report(records: Iterable[Record]) -> Iterator[str]:
     for robot in sorted({robot for robot, _ in counts}):
         yield f'{robot}: ' + ', '.join(
             f'{kind}: {counts[robot, kind]}' for kind in kinds.values() if counts[robot, kind])
+    x, y, phi = settings.anchor_pose
+    yield f'start of {settings.anchor}, the anchor: ({x:.3f} m, {y:.3f} m, {phi:.3f} rad) in map'

@@ -149,6 +149,18 @@ def test_the_team_has_the_robots_with_odometry():
 
     assert [(robot.name, robot.id) for robot in settings.robots] == [('a', 1), ('b', 2)]
     assert settings.anchor == 'a'
+    assert settings.anchor_pose == (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(('begin', 'start'), [(2, (4.0, 3.0, np.pi / 2)), (503, (0.0, 0.0, 0.0))])
+def test_the_anchor_starts_where_its_first_true_pose_and_odometry_put_it(begin, start):
+    # Since its first odometry it has driven 2 m ahead by the next, to (4, 5) facing left of x.
+    records = [
+        odometry('a', 2, (1.0, 0.0, 0.0)), odometry('a', begin + 1, (3.0, 0.0, 0.0)),
+        true_pose('a', 1, (9.0, 9.0, 0.0)), true_pose('a', begin + 1, (4.0, 5.0, np.pi / 2))]
+
+    # Rounding of one rotation.
+    assert_allclose(csv_tables.settings(records).anchor_pose, start, atol=1e-14)
 
 
 @pytest.mark.parametrize(('rows', 'reason'), [
