@@ -23,7 +23,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, noise, run_settings
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, MAX_COMMAND_HOLD, robot_name)
+    ConversionOptions, MAX_COMMAND_HOLD, range_increase, robot_name)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS
 from fej_slam_ros.errors import UsageError, UserError
 
@@ -109,16 +109,17 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
     delay, scale = arguments.motion_delay, arguments.odometry_scale
     options = noise.best_options(
         data, delay, scale and tuple(scale), arguments.camera_delay, arguments.thin)
-    sigmas = options.noise
+    sigmas, increases = options.noise, options.range_increases
     if arguments.range_sigma is not None:
         sigmas = replace(
             sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma,
             range_constant=0.0, robot_range_constant=0.0)
+        increases = (range_increase(arguments.range_sigma),) * 2
     if arguments.bearing_sigma is not None:
         sigmas = replace(
             sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
     return replace(
-        options, noise=sigmas,
+        options, noise=sigmas, range_increases=increases,
         correlation_factor=arguments.correlation_factor or options.correlation_factor,
         robot_observations=arguments.robot_observations)
 

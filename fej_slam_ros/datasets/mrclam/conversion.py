@@ -89,6 +89,8 @@ class ConversionOptions:
     #: Systematic errors of the ranges of a robot's camera, by subject: offset [m], and error per
     #: metre; 0 for others.
     range_errors: Mapping[int, tuple[float, float]] = field(default_factory=dict)
+    #: Parts by which ranges to landmarks and to robots are increased, see `range_increase`.
+    range_increases: tuple[float, float] = (0.0, 0.0)
     thin: float = 1.0  #: Minimum time [s] between two observations of one subject by one robot
     #: Factor on the standard deviations of observations, for errors that persist among these
     correlation_factor: float = 1.5
@@ -103,6 +105,17 @@ class ConversionOptions:
             robot_range=factor * noise.robot_range, robot_bearing=factor * noise.robot_bearing,
             range_constant=factor * noise.range_constant,
             robot_range_constant=factor * noise.robot_range_constant)
+
+
+def range_increase(per_metre: float) -> float:
+    """
+    Return the part by which ranges r of a variance c^2 + p^2 r^2 are to be increased, from p.
+
+    The variance is taken at the measured range, so that ranges that came out short have too much
+    weight: their weighted mean is too short by the derivative of the variance, to first order.
+
+    """
+    return 2.0 * per_metre ** 2
 
 
 def bearing_offset(robot: int, options: ConversionOptions) -> tuple[float, float]:
@@ -196,12 +209,20 @@ def observations(
 
 
 def _corrected(observed: Series, robot: int, options: ConversionOptions) -> Series:
-    """Return observations, at the stamps of their images, without the errors of a camera."""
+    """
+    Return observations, at the stamps of their images, without the errors of a camera.
+
+    Ranges are increased by `range_increases`.
+
+    """
     observed = observed.shifted(-round(options.camera_delay * NS))
     subjects, r, beta = observed.rows.T
     offset, per_metre = options.range_errors.get(robot, (0.0, 0.0))
+    of_landmarks, of_robots = options.range_increases
+    increases = np.where(np.isin(subjects, ROBOT_SUBJECTS), of_robots, of_landmarks)
     return Series(observed.stamps, np.column_stack([
-        subjects, (r - offset) / (1.0 + per_metre), beta - bearing_offset(robot, options)[0]]))
+        subjects, (1.0 + increases) * (r - offset) / (1.0 + per_metre),
+        beta - bearing_offset(robot, options)[0]]))
 
 
 def truth(log: RobotLog, options: ConversionOptions) -> Series:

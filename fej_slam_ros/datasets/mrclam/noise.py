@@ -17,7 +17,7 @@ from fej_slam_ros.datasets.mrclam.camera_errors import (
     bearing_offsets, range_errors, sigmas, without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, records, robot_name, STANDSTILL_VARIANCE)
+    ConversionOptions, range_increase, records, robot_name, STANDSTILL_VARIANCE)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import errors_near_truth, ObservationErrors
 from fej_slam_ros.datasets.mrclam.run_settings import settings
@@ -130,15 +130,19 @@ def _with_observation_noise(
     of_ranges = range_errors(landmarks, least_range_sigma)
     landmarks = without_systematic_errors(landmarks, of_bearings, of_ranges)
     robots = without_systematic_errors(robots, of_bearings, of_ranges)
-    noise = options.noise
+    noise, (of_landmarks, of_robots) = options.noise, options.range_increases
     if len(landmarks.inliers().ranges) >= MIN_OBSERVATIONS:
         constant, r, beta = sigmas(landmarks)
         noise = replace(noise, range=r, bearing=beta, range_constant=constant)
+        of_landmarks = range_increase(r)
     if len(robots.inliers().ranges) >= MIN_OBSERVATIONS:
         constant, r, beta = sigmas(robots)
         noise = replace(
             noise, robot_range=r, robot_bearing=beta, robot_range_constant=constant)
-    return replace(options, noise=noise, bearing_offsets=of_bearings, range_errors=of_ranges)
+        of_robots = range_increase(r)
+    return replace(
+        options, noise=noise, bearing_offsets=of_bearings, range_errors=of_ranges,
+        range_increases=(of_landmarks, of_robots))
 
 
 def _correlation_factor(data: MrclamSet, options: ConversionOptions) -> float:
@@ -148,7 +152,7 @@ def _correlation_factor(data: MrclamSet, options: ConversionOptions) -> float:
     It is the median of the robots: the motion capture of one may be wrong.
 
     """
-    single = replace(options, correlation_factor=1.0)
+    single = replace(options, correlation_factor=1.0, range_increases=(0.0, 0.0))
     observed = [
         record for record in records(data, single, defaultdict(Counter))
         if not isinstance(record, Odometry)]

@@ -8,10 +8,11 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
-from fej_slam_ros.datasets.mrclam.conversion import Noise, records
+from fej_slam_ros.datasets.mrclam.conversion import Noise, range_increase, records
 from fej_slam_ros.datasets.mrclam.files import read
 from helpers.mrclam import EXACT, STRAIGHT, write_set
 
@@ -163,6 +164,24 @@ def test_errors_of_a_camera_are_removed_from_ranges(convert):
     scan, = of_kind(Scan, converted)
     assert np.hypot(*scan.observations[0].z) == pytest.approx(2.0, rel=1e-12)
     assert converted[1]['range below the error of the camera'] == 1
+
+
+@pytest.mark.parametrize(('code', 'kind'), [(7, Scan), (14, RobotScan)])
+def test_ranges_whose_noise_grows_with_them_are_right_in_their_weighted_mean(convert, code, kind):
+    # 10 % of noise, by its quantiles; without an increase the mean would be 4 cm too short.
+    quantiles = norm.ppf((np.arange(500) + 0.5) / 500)
+    options = replace(
+        EXACT, noise=Noise(range=0.1, robot_range=0.1), range_increases=(range_increase(0.1),) * 2)
+
+    scans = of_kind(kind, convert(
+        options, Robot2_Odometry=STRAIGHT['Robot1_Odometry'], Robot1_Measurement=[
+            (100.0 + 0.02 * k, code, 2.0 * (1.0 + 0.1 * q), 0.0)
+            for k, q in enumerate(quantiles)]))
+
+    ranges = [scan.observations[0].z[0] for scan in scans]
+    weights = [1.0 / scan.observations[0].R[0, 0] for scan in scans]
+    # The next term is of fourth order, 2 m of 10 %^4 by a factor of 10.
+    assert np.average(ranges, weights=weights) == pytest.approx(2.0, abs=0.003)
 
 
 def test_records_come_in_the_order_of_stamps_with_true_poses_within_the_odometry(convert):

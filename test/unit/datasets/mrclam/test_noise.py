@@ -316,6 +316,13 @@ def test_without_observations_of_robots_their_noise_is_the_default(synthetic):
     assert best_options(synthetic).noise.robot_range == ConversionOptions().noise.robot_range
 
 
+def test_ranges_are_increased_where_their_noise_was_measured(synthetic):
+    options = best_options(synthetic)
+
+    # The derivative of p^2 r^2 by r, per metre; robots are not observed here.
+    assert options.range_increases == (2 * options.noise.range ** 2, 0.0)
+
+
 def test_noise_is_not_measurable_without_motion_capture(tmp_path):
     folder = write_set(tmp_path, {'Robot1_Odometry': [(1, 0, 0), (2, 0, 0)]})
 
