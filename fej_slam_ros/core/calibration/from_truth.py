@@ -78,7 +78,8 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     """
     Return the root mean error squared e^T P^-1 e per degree of freedom, without outliers.
 
-    Iterated from the median, until there are no further inliers.
+    Iterated from the median, until there are no further inliers. If most errors are exactly 0, as
+    of a simulated robot that stands, they determine no factor.
 
     """
     d2 = np.array(squared)
@@ -86,6 +87,8 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     variance, kept = float(np.median(d2)) / chdtri(dof, 0.5), 0
     while (count := int((d2 <= limit * variance).sum())) > kept:
         variance, kept = float(d2[d2 <= limit * variance].mean()) / dof, count
+    if variance == 0.0:
+        return NoiseScale(1.0, math.inf, len(d2))
     return NoiseScale(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
 
 

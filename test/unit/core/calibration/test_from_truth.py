@@ -145,6 +145,14 @@ def test_a_robot_with_little_data_has_the_factor_of_the_team():
     assert scales(simulated(1, loops=1))['odometry'].keys() == {''}
 
 
+def test_errors_of_exactly_0_determine_no_factor():
+    standing = [0.0] * 40
+
+    found = noise_scales({'r1': standing, 'r2': standing}, 3)
+
+    assert not found[''].is_known()
+
+
 def test_one_robot_that_differs_has_its_own_factor_also_with_little_data():
     rng = np.random.default_rng(1)
     errors = {
