@@ -90,7 +90,7 @@ class OdometryChains:
         follows = np.append(False, goes_on)[:len(goes_on)]
         rows = np.flatnonzero(goes_on | follows)
         firsts = np.flatnonzero(~follows[rows])
-        lengths = _lengths(firsts, len(rows))
+        lengths = np.diff(firsts, append=len(rows))
         by_length = np.argsort(lengths, kind='stable')
         firsts, lengths = firsts[by_length], lengths[by_length]
         moved_to = np.cumsum(lengths) - lengths
@@ -105,7 +105,7 @@ class OdometryChains:
     @property
     def lengths(self) -> Indices:
         """Return the number of factors (c,) of each chain."""
-        return _lengths(self.firsts, len(self.rows))
+        return np.diff(self.firsts, append=len(self.rows))
 
     def parts(self) -> Iterator[PartOfChains]:
         """Yield all chains, some at a time."""
@@ -293,11 +293,6 @@ class ReducedChains:
         lasts = self.chains.lasts
         chain = np.repeat(np.arange(len(lasts)), lasts - self.chains.firsts)
         return chain, np.delete(np.arange(len(self.chains.rows)), lasts)
-
-
-def _lengths(firsts: Indices, end: int) -> Indices:
-    """Return the lengths (c,) of runs that follow each other up to an end."""
-    return np.diff(firsts, append=end)
 
 
 def _packed(P: Array) -> Array:
