@@ -160,6 +160,12 @@ def poses_at(stamps: Stamps, known: Stamps, poses: Array) -> Array:
         wrap_all(np.interp(stamps, known, np.unwrap(phi)))])
 
 
+def motion_to_begin(stamp: int, stamps: Stamps, poses: Array) -> Array:
+    """Return the motion (3,) from a stamp back to the first of poses (n, 3) at stamps (n,)."""
+    (reached,) = poses_at(np.array([stamp]), stamps, poses)
+    return between(reached, poses[0])
+
+
 def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Array:
     """
     Return the pose (3,) that maps points to others with the least squared distances.

@@ -20,6 +20,8 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 
 Triple = tuple[float, float, float]
+#: Pose of a frame in itself.
+ORIGIN: Triple = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +64,7 @@ class CommonRobotSettings(NoiseSettings):
         default='position in robots, from 1').metadata)
     _: KW_ONLY
     sensor_pose: Triple = parameter(
-        (0.0, 0.0, 0.0), POSE, 'pose of the landmark sensor in the base frame', 'm, m, rad')
+        ORIGIN, POSE, 'pose of the landmark sensor in the base frame', 'm, m, rad')
     sensor_frame: str | None = parameter(
         None, TEXT, 'additional frame name that scans may carry', default='none')
     odom_frame: str | None = parameter(
@@ -105,7 +107,7 @@ class CommonSettings(NoiseSettings):
         TEXT, 'robot whose initial pose defines the frame map; may be empty with prior_landmarks',
         default='first of robots').metadata)
     anchor_pose: Triple = parameter(
-        (0.0, 0.0, 0.0), POSE, 'initial pose of the anchor in map', 'm, m, rad')
+        ORIGIN, POSE, 'initial pose of the anchor in map', 'm, m, rad')
     _: KW_ONLY
     anchor_sigma: Triple = parameter(
         (0.0, 0.0, 0.0), POSE_SIGMA, 'standard deviations of anchor_pose', 'm, m, rad')

@@ -18,14 +18,14 @@ from typing import TypeVar
 import numpy as np
 
 from fej_slam_ros.core.definiteness import is_definite, is_semidefinite
-from fej_slam_ros.core.geometry import Array, between, compose, poses_at, symmetric
+from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, symmetric
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
-from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import divided
 from fej_slam_ros.errors import UserError
@@ -124,8 +124,7 @@ def settings(records: Iterable[Record]) -> Settings:
     anchor, *_ = names = sorted(of_robots)
     robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(names, start=1))
     start = _true_start(of_robots[anchor], true_poses[anchor])
-    return Settings(robots, anchor=anchor) if start is None else Settings(
-        robots, anchor=anchor, anchor_pose=start)
+    return Settings(robots, anchor=anchor, anchor_pose=start or ORIGIN)
 
 
 def _true_start(odometry: Sequence[Odometry], true_poses: Iterable[TruePose]) -> Triple | None:
@@ -139,10 +138,10 @@ def _true_start(odometry: Sequence[Odometry], true_poses: Iterable[TruePose]) ->
     first = next((true for true in true_poses if true.stamp >= begin), None)
     if first is None or first.stamp > begin + MAX_GAP:
         return None
-    (reached,) = poses_at(
-        np.array([first.stamp]), np.array([record.stamp for record in odometry]),
+    back = motion_to_begin(
+        first.stamp, np.array([record.stamp for record in odometry]),
         np.array([record.pose for record in odometry]))
-    x, y, phi = compose(first.pose, between(reached, odometry[0].pose)).tolist()
+    x, y, phi = compose(first.pose, back).tolist()
     return x, y, phi
 
 

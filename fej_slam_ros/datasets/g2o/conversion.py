@@ -19,14 +19,13 @@ import numpy as np
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.records import (
     MAX_ID, NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan)
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
 from fej_slam_ros.datasets.scans import divided
 from fej_slam_ros.errors import UserError
 
 #: Stamp of the first pose of each robot without stamps [ns].
 LOG_START = NS
-ORIGIN = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, between, compose, poses_at, wrap
+from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, poses_at, wrap
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.mrclam.conversion import (
     bearing_offset, ConversionOptions, increment_variances, observations, odometry,
     odometry_stamps, robot_name, sums_between)
@@ -41,7 +41,6 @@ FRAME_TIME = 10 * NS
 #: Angle [rad], and standard deviations, by which odometry of an anchor may turn away from its true
 #: heading by then.
 MAX_FRAME_TURN, MAX_FRAME_SIGMAS = 0.1, 2.0
-ORIGIN: Triple = (0.0, 0.0, 0.0)
 #: Range [m] at which the noise of a robot without observations is stated.
 TYPICAL_RANGE = 3.5
 #: A pose and its standard deviations.
@@ -81,8 +80,7 @@ def start(log: RobotLog, options: ConversionOptions) -> Start | None:
         return None
     # Odometry leads back from the first true pose since then.
     k = min(int(np.searchsorted(stamps, log.truth.stamps[first])), len(stamps) - 1)
-    (reached,) = poses_at(log.truth.stamps[first:first + 1], stamps, poses)
-    back = between(reached, poses[0])
+    back = motion_to_begin(log.truth.stamps[first], stamps, poses)
     pose = compose(log.truth.rows[first], back)
     variances = increment_variances(log, options)[:k].sum(axis=0) + np.square(
         truth_sigma(log.truth))
