@@ -5,17 +5,21 @@ Systematic errors of the odometry of one robot: scales of distances and turns, t
 
 Over some seconds, the motion by corrected odometry leads from one true pose to another, and from
 one observation of a landmark to the next. The errors that do so best are found by robust least
-squares. By landmarks, the scale of distances is that of the sensor, by which the map is made.
+squares from true poses, and by instrumental variables from landmarks, where the scale of
+distances is that of the sensor, by which the map is made.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import least_squares
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, trajectory
+from fej_slam_ros.core.calibration.instruments import measured_motion, predicted_motion
+from fej_slam_ros.core.calibration.sensor_pose import (
+    observation_pairs, ObservationPairs, trajectory)
 from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.geometry import Array, Flags, Indices, poses_at, Stamps, wrap_all
 from fej_slam_ros.core.ground_truth import RecordedTruth
@@ -43,6 +47,8 @@ MAX_ERROR = 3.0 * PRIOR_SIGMA
 BLOCK_TIME, MIN_BLOCKS = 10 * NS, 10
 #: Standard deviation of a normal distribution, divided by the median of its magnitudes.
 SIGMA_PER_MEDIAN = 1.4826
+#: Maximum number of iterations by instruments, and the step of all values after which they end.
+MAX_ITERATIONS, MAX_STEP = 30, 1e-7
 
 #: Returns the residuals (n,) for values (3,) of the errors.
 Residuals = Callable[[Array], Array]
@@ -86,10 +92,12 @@ def fit_to_truth(
         return scaled
 
     # Metres and radians are made comparable by the residuals of a first fit.
-    first = _least(lambda values: errors(values).ravel(), NO_ERRORS, np.ones(3, bool))
+    first = _least(
+        lambda values: errors(values).ravel(), len(firsts), NO_ERRORS, np.ones(3, bool))
     spread = SIGMA_PER_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
-    return _significant(
-        lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), firsts, given)
+    return _significant(partial(
+        _least, lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), len(firsts)),
+        firsts, given)
 
 
 def _true_intervals(
@@ -123,16 +131,7 @@ def fit_to_landmarks(
     blocks = np.unique(pairs.stamps[0] // BLOCK_TIME)
     if len(pairs.sigma) < MIN_FIT_PAIRS or len(blocks) < MIN_BLOCKS:
         return None
-    at_base = np.zeros(3)
-
-    def residuals(values: Array) -> Array:
-        moved = corrected_trajectory(pairs.known, pairs.poses, values)
-        placed = replace(pairs, poses=moved).at_odometry(0.0)
-        # In the base frame, which headings summed up over the whole run do not turn.
-        r: Array = np.einsum('nji,nj->ni', placed.A, placed.residuals(at_base)).ravel()
-        return r
-
-    return _significant(residuals, pairs.stamps[0], given)
+    return _significant(partial(_by_instruments, pairs), pairs.stamps[0], given)
 
 
 def corrected_trajectory(stamps: Stamps, poses: Array, values: Array) -> Array:
@@ -148,22 +147,24 @@ def corrected_trajectory(stamps: Stamps, poses: Array, values: Array) -> Array:
     return np.column_stack([x, y, wrap_all(headings)])
 
 
-def _significant(residuals: Residuals, stamps: Stamps, given: Array) -> OdometryErrors:
+def _significant(
+    fitted: Callable[[Array, Flags], '_Fit'], stamps: Stamps, given: Array
+) -> OdometryErrors:
     """
     Return the errors that the data show; those not determined are as `given`, a (3,) array.
 
-    There are as many residuals of each pair, in the order of the `stamps` [ns] of the pairs.
+    `fitted` returns a fit by the errors, of which some are free, and by which these are. The
+    `stamps` [ns] are those of the pairs.
 
     """
-    pairs, (_, block) = len(stamps), np.unique(stamps // BLOCK_TIME, return_inverse=True)
+    _, block = np.unique(stamps // BLOCK_TIME, return_inverse=True)
     free, fixed, of_all = np.ones(3, bool), NO_ERRORS.copy(), np.empty(0)
     is_known, is_at_limit = np.ones(3, bool), False
     while True:
-        fit = _least(residuals, fixed, free)
-        scatter = SIGMA_PER_MEDIAN * float(np.median(np.abs(residuals(fit.x))))
+        fit = fitted(fixed, free)
         P = np.linalg.inv(fit.information)
-        of_independent = np.sqrt(np.diag(P)) * max(scatter, 1e-12)
-        sigma = np.maximum(of_independent, np.sqrt(np.diag(P @ fit.scatter(block) @ P)))
+        of_independent = np.sqrt(np.abs(np.diag(P))) * fit.scatter
+        sigma = np.maximum(of_independent, np.sqrt(np.diag(P @ fit.covariance(block) @ P.T)))
         of_all = sigma if free.all() else of_all
         error = np.abs(fit.x - NO_ERRORS)
         at_limit = error > 0.99 * MAX_ERROR
@@ -171,7 +172,7 @@ def _significant(residuals: Residuals, stamps: Stamps, given: Array) -> Odometry
         shown = known & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
         hidden = np.flatnonzero(free & ~shown)
         if not len(hidden):
-            return OdometryErrors(fit.x, of_all, is_known, is_at_limit, pairs)
+            return OdometryErrors(fit.x, of_all, is_known, is_at_limit, len(stamps))
         # At a constant turn rate, scale and bias are the same: it counts as a scale.
         k = hidden[-1]
         free[k], is_known[k] = False, known[k]
@@ -181,17 +182,17 @@ def _significant(residuals: Residuals, stamps: Stamps, given: Array) -> Odometry
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Fit:
-    """Errors x (3,) of least squares, and the information (3, 3) about all of them."""
+    """Errors x (3,) of a fit, and the information (3, 3) about all of them."""
 
     x: Array
-    information: Array
-    gradients: Array  #: (k, 3) array, of half the robust cost of each residual
+    information: Array  #: perhaps not symmetric
+    gradients: Array  #: (n, 3) array, of half the robust cost of each pair
+    scatter: float  #: standard deviation of the residuals
 
-    def scatter(self, block: Indices) -> Array:
-        """Return the covariance (3, 3) of the gradient for pairs that depend within blocks."""
-        of_pairs = self.gradients.reshape(len(block), -1, 3).sum(axis=1)
+    def covariance(self, block: Indices) -> Array:
+        """Return the (3, 3) covariance of the gradient for pairs that depend within blocks."""
         of_blocks = np.zeros((block.max() + 1, 3))
-        np.add.at(of_blocks, block, of_pairs)
+        np.add.at(of_blocks, block, self.gradients)
         # The mean is 0 but where an error is at its limit.
         of_blocks -= of_blocks.mean(axis=0)
         count = len(of_blocks)
@@ -199,7 +200,7 @@ class _Fit:
         return covariance
 
 
-def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
+def _least(residuals: Residuals, pairs: int, fixed: Array, free: Flags) -> _Fit:
     """Return the errors with the least squares, of which some are `free`, others `fixed`."""
     def of_free(values: Array) -> Array:
         errors = fixed.copy()
@@ -217,4 +218,46 @@ def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
         # SciPy scales J by (1 + r^2)^(-3/4), and the gradient of soft_l1 has (1 + r^2)^(-1/2).
         r, J = (rows[:len(gradients)] for rows in (fit.fun, fit.jac))
         gradients[:, free] = (r * (1.0 + r ** 2) ** 0.25)[:, None] * J
-    return _Fit(x, information, gradients)
+    return _Fit(
+        x, information, gradients.reshape(pairs, -1, 3).sum(axis=1), _scatter(residuals(x)))
+
+
+def _by_instruments(pairs: ObservationPairs, fixed: Array, free: Flags) -> _Fit:
+    """
+    Return the errors of which some are `free`, others `fixed`, by instrumental variables.
+
+    They solve sum Z' w r = 0 for the differences r of pairs, their robust weights w, and the
+    derivatives Z by predicted motion.
+
+    """
+    measured, predicted = measured_motion(pairs), predicted_motion(pairs)
+    x, prior = fixed.copy(), 1.0 / np.square(PRIOR_SIGMA)
+    for _ in range(MAX_ITERATIONS):
+        r = _differences(pairs, x)
+        sigma = _scatter(r / pairs.sigma[:, None]) * pairs.sigma
+        weights = 1.0 / np.sqrt(1.0 + np.sum(r ** 2, axis=1) / (2.0 * sigma ** 2)) / sigma ** 2
+        Zw = predicted.jacobian(x) * weights[:, None, None] * free
+        gradients = np.einsum('nji,nj->ni', Zw, r)
+        information = np.einsum('nji,njk->ik', Zw, measured.jacobian(x) * free) + np.diag(prior)
+        gradient = gradients.sum(axis=0) + free * prior * (x - NO_ERRORS)
+        before = x
+        x = np.clip(
+            x - np.linalg.solve(information, gradient),
+            np.where(free, NO_ERRORS - MAX_ERROR, x), np.where(free, NO_ERRORS + MAX_ERROR, x))
+        if np.all(np.abs(x - before) < MAX_STEP):
+            break
+    return _Fit(x, information, gradients, 1.0)
+
+
+def _differences(pairs: ObservationPairs, values: Array) -> Array:
+    """Return the differences (n, 2) of pairs [m] by odometry corrected by `values` (3,)."""
+    moved = replace(pairs, poses=corrected_trajectory(pairs.known, pairs.poses, values))
+    placed = moved.at_odometry(0.0)
+    # In the base frame, which headings summed up over the whole run do not turn.
+    r: Array = np.einsum('nji,nj->ni', placed.A, placed.residuals(np.zeros(3)))
+    return r * pairs.sigma[:, None]
+
+
+def _scatter(residuals: Array) -> float:
+    """Return the standard deviation of residuals by their median."""
+    return max(SIGMA_PER_MEDIAN * float(np.median(np.abs(residuals))), 1e-12)

@@ -180,14 +180,14 @@ class ObservationPairs:
         first, second = (
             poses_at(stamps - round(delay * NS), self.known, self.poses) for stamps in self.stamps)
         return _PlacedPairs(
-            p, q, _rotations(first[:, 2]), _rotations(second[:, 2]),
+            p, q, rotations(first[:, 2]), rotations(second[:, 2]),
             first[:, :2] - second[:, :2], self.sigma)
 
     def still(self) -> '_PlacedPairs':
         """Return the pairs with a robot that does not move."""
         p, q = self.z
-        rotations = _rotations(np.zeros(len(p)))
-        return _PlacedPairs(p, q, rotations, rotations, np.zeros_like(p), self.sigma)
+        unturned = rotations(np.zeros(len(p)))
+        return _PlacedPairs(p, q, unturned, unturned, np.zeros_like(p), self.sigma)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,7 +260,7 @@ class _PlacedPairs:
         return np.array([x, y, wrap(yaw)])
 
 
-def _rotations(angles: Array) -> Array:
-    """Return the rotations (n, 2, 2) by angles (n,) [rad]."""
+def rotations(angles: Array) -> Array:
+    """Return rotation matrices (n, 2, 2) of angles (n,) [rad]."""
     c, s = np.cos(angles), np.sin(angles)
     return np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
