@@ -104,7 +104,7 @@ def decoded(block: bytes, robot: str) -> list[Measurement]:
     _check(poses, Q, z, R)
     _require(min(ids, default=0) >= 0)
     names = _names(text)
-    _require(max(indices, default=-1) < len(names))
+    _require(max(indices, default=-1) < len(names) and robot not in names)
     observations: Iterator[Any] = chain(
         (Observation(*values) for values in zip(ids, z, R)),
         (RobotObservation(names[k], *values) for k, *values in zip(indices, z[m:], R[m:])))

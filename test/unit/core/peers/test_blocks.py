@@ -59,6 +59,7 @@ def test_no_measurements_are_a_block_too():
     [Scan('p', 1, (Observation(3, np.zeros(2), np.array([[1.0, 0.5], [0.0, 1.0]])),))],
     [Scan('p', 1, (Observation(3, np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]])),))],
     [Scan('p', 1, (Observation(-1, np.zeros(2), R),))],
+    [RobotScan('p', 1, (RobotObservation('p', np.zeros(2), R),))],
 ])
 def test_what_no_robot_measures_is_rejected(bad):
     with pytest.raises(BadBlockError):
