@@ -16,9 +16,9 @@ import numpy as np
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
 from fej_slam_ros.core.data_association.wrong_landmarks import (
-    MOVED_LANDMARKS, note_accepted, remove_contradicted, update_trust)
+    MOVED_LANDMARKS, note_accepted, remove_contradicted, remove_started)
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
-from fej_slam_ros.core.ekf.gating import Association, GatedObservation
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation, suspected_robots
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
 from fej_slam_ros.core.ekf.state import Landmark, Robot
@@ -310,12 +310,13 @@ class Estimator(TeamInput):
         scan_statistics = innovation.scan_gate_statistics()
         self.innovations.add(stamp, innovation, scan_statistics)
         note_accepted(innovation, scan_statistics)
+        suspected = suspected_robots(scan_statistics)
         for started in (
-            *update_trust(group.state, innovation, scan_statistics, stamp),
-            *remove_contradicted(group.state, innovation, scan_statistics),
+            *remove_started(group.state, suspected, stamp),
+            *remove_contradicted(group.state, innovation, suspected),
         ):
             self.statistics.reject_observation(started)
-        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scan_statistics)
+        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, suspected)
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
         for gated in innovation.rejected:

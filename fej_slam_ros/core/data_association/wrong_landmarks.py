@@ -7,10 +7,10 @@ A landmark that a lost robot has started is not trusted before a scan that other
 confirm observes it. One that fails the gate again and again, among others that pass, was moved.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot, suspected_robots
+from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
 from fej_slam_ros.core.records import LandmarkKey
@@ -24,33 +24,27 @@ def note_accepted(innovation: Innovation, statistics: StatisticsByRobot) -> None
     """
     Note the accepted observations on their landmarks, whatever `moved_landmarks` is.
 
-    Those by robots that are not suspected end the evidence that a landmark was moved.
+    Those by robots that are not suspected end the evidence that a landmark was moved; landmarks in
+    scans that confirm the robot's pose are trusted.
 
     """
-    suspected = suspected_robots(statistics)
     for a in innovation.used:
         if isinstance(a.observed, Landmark):
+            scan = statistics[a.observer.name]
             a.observed.is_reobserved = True
-            if a.observer.name not in suspected:
+            a.observed.is_trusted |= scan.confirms_pose()
+            if not scan.mostly_failed():
                 a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
 
 
-def update_trust(
-    state: JointState, innovation: Innovation, statistics: StatisticsByRobot, stamp: int
-) -> list[Rejection]:
+def remove_started(state: JointState, suspected: Collection[str], stamp: int) -> list[Rejection]:
     """
-    Trust landmarks in scans that confirm the robot's pose; remove those that wrong scans started.
+    Remove landmarks that wrong scans started; return the observations of them as rejected.
 
     A robot that is not where it is estimated starts landmarks that fit its pose and nothing else.
-    They are not trusted, for they were never observed together with landmarks that are. Returns
-    the rejections of the observations that started the removed landmarks.
+    They are not trusted, for they were never observed together with landmarks that are.
 
     """
-    confirmed = {name for name, scan in statistics.items() if scan.confirms_pose()}
-    for a in innovation.used:
-        if isinstance(a.observed, Landmark) and a.observer.name in confirmed:
-            a.observed.is_trusted = True
-    suspected = suspected_robots(statistics)
     started = [
         landmark for landmark in state.landmarks.values()
         if landmark.owner in suspected and landmark.created == stamp] if suspected else []
@@ -61,7 +55,7 @@ def update_trust(
 
 
 def remove_contradicted(
-    state: JointState, innovation: Innovation, statistics: StatisticsByRobot
+    state: JointState, innovation: Innovation, suspected: Collection[str]
 ) -> list[Rejection]:
     """
     Remove landmarks whose second observation contradicts the first; return that as rejected.
@@ -69,7 +63,6 @@ def remove_contradicted(
     One of the two is wrong, such as a misread tag. The next observation starts the landmark again.
 
     """
-    suspected = suspected_robots(statistics)
     contradicted: dict[LandmarkKey, Landmark] = {}
     for gated in innovation.rejected:
         observer, observed, _ = gated.association
@@ -90,15 +83,14 @@ def remove_untrusted(state: JointState, robot: str) -> None:
         if landmark.owner == robot and not landmark.is_trusted])
 
 
-def ignore_moved(state: JointState, innovation: Innovation, statistics: StatisticsByRobot) -> None:
+def ignore_moved(state: JointState, innovation: Innovation, suspected: Collection[str]) -> None:
     """Do not look for moved landmarks."""
 
 
-def report_moved(state: JointState, innovation: Innovation, statistics: StatisticsByRobot) -> None:
+def report_moved(state: JointState, innovation: Innovation, suspected: Collection[str]) -> None:
     """Collect evidence for each landmark that fails the gate among others that pass."""
     if not innovation.rejected:
         return
-    suspected = suspected_robots(statistics)
     passed = _landmark_pairs(a for a in innovation.used if a.observer.name not in suspected)
     rejected = _landmark_pairs(gated.association for gated in innovation.rejected)
     contradicting = _landmark_pairs(
@@ -109,9 +101,9 @@ def report_moved(state: JointState, innovation: Innovation, statistics: Statisti
             landmark.moved_evidence.add(robot.name, state.pose(robot)[:2])
 
 
-def forget_moved(state: JointState, innovation: Innovation, statistics: StatisticsByRobot) -> None:
+def forget_moved(state: JointState, innovation: Innovation, suspected: Collection[str]) -> None:
     """Remove moved landmarks, so that the next observation starts them at their new position."""
-    report_moved(state, innovation, statistics)
+    report_moved(state, innovation, suspected)
     moved = {
         landmark.key: landmark
         for _, landmark in _landmark_pairs(gated.association for gated in innovation.rejected)
@@ -120,7 +112,7 @@ def forget_moved(state: JointState, innovation: Innovation, statistics: Statisti
 
 
 #: The values of parameter `moved_landmarks`.
-MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation, StatisticsByRobot], None]] = {
+MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation, Collection[str]], None]] = {
     'report': report_moved, 'forget': forget_moved, 'ignore': ignore_moved}
 
 

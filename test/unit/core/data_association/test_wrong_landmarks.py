@@ -9,9 +9,9 @@ import pytest
 from scipy.stats import chi2
 
 from fej_slam_ros.core.data_association.wrong_landmarks import (
-    remove_untrusted, report_moved, update_trust)
+    note_accepted, remove_started, remove_untrusted, report_moved)
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import Association, GatedObservation
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation, suspected_robots
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.estimator import Estimator
@@ -149,7 +149,7 @@ def is_doubted(others, d2=50.0):
     gated = [GatedObservation(a, d2, 13.8) for a in seen if a not in used]
 
     innovation = Innovation(used, np.zeros(2 * len(used)), gated, ())
-    report_moved(state, innovation, innovation.scan_gate_statistics())
+    report_moved(state, innovation, suspected_robots(innovation.scan_gate_statistics()))
 
     return seen[0].observed.moved_evidence is not None
 
@@ -204,7 +204,9 @@ def see(state, stamp, robot, landmarks, failed=()):
     innovation = Innovation(
         [a for a in associations if a.observed not in failed], np.empty(0),
         [GatedObservation(a, 50.0, 13.8) for a in associations if a.observed in failed])
-    update_trust(state, innovation, innovation.scan_gate_statistics(), stamp)
+    statistics = innovation.scan_gate_statistics()
+    note_accepted(innovation, statistics)
+    remove_started(state, suspected_robots(statistics), stamp)
 
 
 def test_landmarks_are_trusted_once_trusted_ones_confirm_a_scan_of_them():
