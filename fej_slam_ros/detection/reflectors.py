@@ -76,7 +76,7 @@ class ReflectorDetector:
         jumps = largest_jumps(width, max(self.radius, MIN_RADIUS), self.range_sigma)
         is_new = (gaps > MAX_BEAM_GAP * beams.increment) | (np.abs(np.diff(r)) > jumps)
         first = np.flatnonzero(np.append(True, is_new))
-        return first, np.diff(np.append(first, len(bright)))
+        return first, np.diff(first, append=len(bright))
 
     def _are_seen(self, beams: Beams, first: Indices, last: Indices) -> Flags:
         """Return whether nothing nearer beside runs of beams may hide a part of a reflector."""

@@ -88,7 +88,7 @@ class Information:
             coordinates < first_point, coordinates // 3,
             self._poses + (coordinates - first_point) // 2)
         firsts = np.flatnonzero(np.diff(node_of_row, prepend=-1))
-        nodes, sizes = node_of_row[firsts], np.diff(np.append(firsts, len(node_of_row)))
+        nodes, sizes = node_of_row[firsts], np.diff(firsts, append=len(node_of_row))
         first_rows = np.full(self._poses + self._points, -1)
         first_rows[nodes] = firsts
         ends = _ChainEnds(*self._chains.chains.nodes, first_rows)
