@@ -30,7 +30,6 @@ TEAM = {'robots': ['r1', 'r2']}
 CLOUD = 'sensor_msgs/msg/PointCloud2'
 STATUS = 'diagnostic_msgs/msg/DiagnosticStatus'
 JOINT = 'std_msgs/msg/Float64MultiArray'
-CLOCK = 'rosgraph_msgs/msg/Clock'
 
 #: Rows and columns of x, y, yaw in a covariance of x, y, z, rX, rY, rZ.
 PLANAR = np.ix_([0, 1, 5], [0, 1, 5])
