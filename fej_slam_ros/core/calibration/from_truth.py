@@ -174,7 +174,7 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
 def _odometry_errors(
     odometry: Sequence[Odometry], truth: RecordedTruth, settings: NoiseSettings
 ) -> Iterator[float]:
-    """Yield the normalised error squared of each window between known true poses."""
+    """Yield the normalised error squared of each window with motion between known true poses."""
     begin, x, P = None, np.zeros(3), np.zeros((3, 3))
     for earlier, later in pairwise(odometry):
         if later.stamp - earlier.stamp > MAX_ODOMETRY_WINDOW:
@@ -186,7 +186,8 @@ def _odometry_errors(
         x, P = models.composed_increment(x, P, *increment(earlier, later, settings))
         if later.stamp - begin.stamp >= ERROR_WINDOW and truth.covers(
                 later.robot, later.stamp):
-            if is_definite(P):
+            # Standing still shows nothing about the noise of driving.
+            if x.any() and is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
                 yield float(nees(pose_error(x, true), P))
             begin, x, P = later, np.zeros(3), np.zeros((3, 3))

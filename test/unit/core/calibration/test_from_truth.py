@@ -145,6 +145,18 @@ def test_a_robot_with_little_data_has_the_factor_of_the_team():
     assert scales(simulated(1, loops=1))['odometry'].keys() == {''}
 
 
+def test_standing_still_changes_no_factor():
+    records = [r for r in simulated(1) if isinstance(r, (Odometry, TruePose)) and r.robot == 'r1']
+    last = {type(record): record for record in records}
+    still = [
+        replace(record, stamp=record.stamp + seconds * 10**9)
+        for seconds in range(1, 601) for record in last.values()]
+
+    factors = [scales(some)['odometry'][''] for some in (records, records + still)]
+
+    assert factors[0] == factors[1]
+
+
 def test_errors_of_exactly_0_determine_no_factor():
     standing = [0.0] * 40
 
