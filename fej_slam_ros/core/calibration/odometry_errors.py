@@ -231,22 +231,24 @@ def _by_instruments(pairs: ObservationPairs, fixed: Array, free: Flags) -> _Fit:
 
     """
     measured, predicted = measured_motion(pairs), predicted_motion(pairs)
-    x, prior = fixed.copy(), 1.0 / np.square(PRIOR_SIGMA)
+    x, prior = fixed.copy(), np.diag(1.0 / np.square(PRIOR_SIGMA))
+    limits = np.where(free, MAX_ERROR, 0.0)
     for _ in range(MAX_ITERATIONS):
         r = _differences(pairs, x)
         sigma = _scatter(r / pairs.sigma[:, None]) * pairs.sigma
-        weights = 1.0 / np.sqrt(1.0 + np.sum(r ** 2, axis=1) / (2.0 * sigma ** 2)) / sigma ** 2
-        Zw = predicted.jacobian(x) * weights[:, None, None] * free
+        # The weights of soft_l1.
+        cost = 2.0 * sigma ** 2 + np.sum(r ** 2, axis=1)
+        Zw = predicted.jacobian(x) * (np.sqrt(2.0 / cost) / sigma)[:, None, None] * free
+        J = measured.jacobian(x) * free
         gradients = np.einsum('nji,nj->ni', Zw, r)
-        information = np.einsum('nji,njk->ik', Zw, measured.jacobian(x) * free) + np.diag(prior)
-        gradient = gradients.sum(axis=0) + free * prior * (x - NO_ERRORS)
-        before = x
-        x = np.clip(
-            x - np.linalg.solve(information, gradient),
-            np.where(free, NO_ERRORS - MAX_ERROR, x), np.where(free, NO_ERRORS + MAX_ERROR, x))
+        gradient = gradients.sum(axis=0) + prior @ (x - NO_ERRORS) * free
+        before, step = x, np.linalg.solve(np.einsum('nji,njk->ik', Zw, J) + prior, gradient)
+        x = np.clip(x - step, fixed - limits, fixed + limits)
         if np.all(np.abs(x - before) < MAX_STEP):
             break
-    return _Fit(x, information, gradients, 1.0)
+    # The derivative of w r is w (I - r r' / cost) J.
+    J = J - r[:, :, None] * (np.einsum('nj,njk->nk', r, J) / cost[:, None])[:, None]
+    return _Fit(x, np.einsum('nji,njk->ik', Zw, J) + prior, gradients, 1.0)
 
 
 def _differences(pairs: ObservationPairs, values: Array) -> Array:
