@@ -105,11 +105,10 @@ def compact(columns: Indices, blocks: Array, n: int) -> tuple[Indices, Array]:
     """
     m, touched = len(columns), np.zeros(n, np.bool_)
     touched[columns] = True
-    states = np.flatnonzero(touched)
-    k, column_of = len(states), np.empty(n, np.intp)
-    column_of[states] = np.arange(k)
+    states, = touched.nonzero()
+    k = len(states)
     # A state may be listed twice in a row; its entries are added.
-    cells = column_of[columns][:, None] + k * np.arange(2 * m).reshape(m, 2, 1)
+    cells = states.searchsorted(columns)[:, None] + np.arange(2 * m).reshape(m, 2, 1) * k
     entries = np.bincount(cells.ravel(), blocks.ravel(), 2 * m * k)
     return states, entries.reshape(2 * m, k).astype(np.float64, copy=False)
 
