@@ -25,10 +25,10 @@ STORAGE_GROWTH = 0.03
 
 #: Variable (0 observer, 1 observed) and state of each of the five columns of an observation.
 COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
-#: Rows and columns in the lower triangle of the elements of a diagonal block, at most that of a
-#: pose; the first two rows and columns are those of a position.
-BLOCK_ELEMENTS = (
-    np.array([[0, 1, 2], [1, 1, 2], [2, 2, 2]]), np.array([[0, 0, 0], [0, 1, 1], [0, 1, 2]]))
+#: Places in the lower triangle, counted row by row, of the elements of a diagonal block, by the
+#: size of the block: that of a position or of a pose.
+BLOCK_ELEMENTS = {
+    2: np.array([[0, 2], [2, 3]]), 3: np.array([[0, 3, 6], [3, 4, 7], [6, 7, 8]])}
 
 squared_distances = chi_square.squared_distances
 
@@ -52,10 +52,8 @@ def propagated(before: Array | None, block: Array, Phi: Array, N: Array) -> tupl
 
 def diagonal_block(lower: Array, start: int, size: int) -> Array:
     """Return the symmetric block (size, size) of a position or a pose from its lower triangle."""
-    i, j = BLOCK_ELEMENTS
-    rows = lower[start:start + size, start:start + size]
-    block: Array = rows[i[:size, :size], j[:size, :size]]
-    return block
+    states = slice(start, start + size)
+    return lower[states, states].take(BLOCK_ELEMENTS[size])
 
 
 def settle(lower: Array, n: int, start: int, Phi: Array, block: Array) -> None:
