@@ -166,7 +166,7 @@ class Covariance:
 
     def project(self, H: SparseRows, R: Array) -> Projection:
         """Return S = H P H^T + R and its parts for noise R (m, 2, 2): 4 m k^2 + 8 m^2 k flops."""
-        return Projection._make(KERNEL.project(
+        return Projection(*KERNEL.project(
             self.matrix.lower, self.dimension, H.columns, H.blocks, R))
 
     def correction(self, prior: Projection, r: Array) -> Correction:
@@ -179,8 +179,7 @@ class Covariance:
             If S is not positive definite: the filter's own covariance is broken.
 
         """
-        return Correction._make(
-            KERNEL.correction(prior.P, prior.H, prior.S, r, self.dimension))
+        return Correction(*KERNEL.correction(prior.P, prior.H, prior.S, r, self.dimension))
 
     def condition(self, correction: Correction) -> None:
         """Apply P <- P - K S K^T = P - W W^T: 2 m n^2 flops."""

@@ -94,7 +94,7 @@ class StackedObservations(NamedTuple):
 def stacked(associations: Sequence[Association]) -> StackedObservations:
     """Return at least one observation as an update takes them."""
     observers, observed, observations = zip(*associations)
-    return StackedObservations._make(KERNEL.stacked(
+    return StackedObservations(*KERNEL.stacked(
         [robot.slot.start for robot in observers], [variable.slot.start for variable in observed],
         [observation.z for observation in observations],
         [observation.R for observation in observations]))
