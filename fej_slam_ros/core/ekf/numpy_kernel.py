@@ -23,8 +23,6 @@ PRODUCTS = 'BLAS'
 #: so that spare rows cost flops.
 STORAGE_GROWTH = 0.03
 
-#: Variable (0 observer, 1 observed) and state of each of the five columns of an observation.
-COLUMN_VARIABLE, COLUMN_STATE = np.array([0, 0, 0, 1, 1]), np.array([0, 1, 2, 0, 1])
 #: Places in the lower triangle, counted row by row, of the elements of a diagonal block, by the
 #: size of the block: that of a position or of a pose.
 BLOCK_ELEMENTS = {
@@ -123,8 +121,7 @@ def stacked(
     z, R : (2,) and (2, 2) arrays, measurements and their noise
 
     """
-    starts = np.array([observers, observed], np.intp)
-    states: Indices = starts.T.take(COLUMN_VARIABLE, 1) + COLUMN_STATE
+    states = np.array([(i, i + 1, i + 2, j, j + 1) for i, j in zip(observers, observed)], np.intp)
     return states, np.array(z, np.float64), np.array(R, np.float64)
 
 
