@@ -183,6 +183,15 @@ def test_updates_are_equal(compiled, rng, n, m, d):
     assert_allclose(np.tril(result[0][-1][:n, :n]), np.tril(P - K @ H @ P), rtol=1e-9, atol=1e-9)
 
 
+def test_no_observations_have_no_innovation(compiled, rng):
+    _, lower = covariance(rng, 8, 11)
+    (states, blocks), R = observations(rng, 8, 0, 5), noise(rng, 0)
+
+    for one in (compiled, numpy_kernel):
+        seen, _, S, own = one.project(lower, 8, states, blocks, R)
+        assert (seen.shape[1], S.shape, len(own)) == (0, (0, 0), 0)
+
+
 # Numbers of rows below, at and beyond a vector of 8, a tile of 24 and the 480 rows that stay in
 # the cache; ranks below and beyond the 128 columns that are subtracted together.
 @pytest.mark.parametrize('n', [0, 1, 7, 8, 9, 31, 32, 33, 480, 481, 505])
