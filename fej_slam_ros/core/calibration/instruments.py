@@ -23,51 +23,66 @@ PREDICTION_TIME = 3 * NS // 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMotion:
-    """Motion of the robot between n pairs of observations, by velocities while it moved."""
+    """Pairs of observations, and the motion of the robot between both of each."""
 
-    z: Array  #: (n, 2) array, second observations [m]
-    times: Array  #: (n,) array, time between both [s]
-    velocities: Array  #: (n, 3) array, of the base [m/s, m/s, rad/s]
+    pairs: ObservationPairs
+    motion: Array  #: (n, 3) array, in the first base frame, without correction
 
     def jacobian(self, values: Array) -> Array:
         """
-        Return the derivatives (n, 2, 3) of the differences of pairs in the first base frame.
+        Return the derivatives (n, 2, 3) of the normalised differences in the first base frame.
 
         By the `values` (3,): the scales of distances and turns, and the turn bias.
 
         """
         scale, turn, bias = values
-        dt = self.times
-        u = np.einsum('nij,nj->ni', rotations(0.5 * self.velocities[:, 2] * dt),
-                      self.velocities[:, :2] * dt[:, None])
-        turns = turn * self.velocities[:, 2] * dt - bias * dt
-        z = np.einsum('nij,nj->ni', rotations(turns), self.z)
+        u, turned, times = self.motion[:, :2], self.motion[:, 2], _seconds(*self.pairs.stamps)
+        z = _rotated(self.pairs.z[1], turn * turned - bias * times)
         # A turn rotates the second observation, and the motion by half the angle.
         by_turn = -perpendicular(z + 0.5 * scale * u)
-        return np.stack(
-            [-u, by_turn * (self.velocities[:, 2] * dt)[:, None], -by_turn * dt[:, None]], axis=2)
+        J = np.stack([-u, by_turn * turned[:, None], -by_turn * times[:, None]], axis=2)
+        normalised: Array = J / self.pairs.sigma[:, None, None]
+        return normalised
 
 
 def measured_motion(pairs: ObservationPairs) -> PairMotion:
-    """Return the motion between the observations of pairs, by odometry without correction."""
-    first, second = pairs.stamps
-    moved, times = _displacements(pairs, first, second)
-    return PairMotion(pairs.z[1], times, moved / times[:, None])
+    """Return the motion between the observations of pairs by odometry."""
+    return PairMotion(pairs, _moved(pairs, *pairs.stamps))
 
 
 def predicted_motion(pairs: ObservationPairs) -> PairMotion:
     """Return the same motion by the odometry before the first and after the second observation."""
     first, second = pairs.stamps
-    (before, of_before), (after, of_after) = (
-        _displacements(pairs, *interval) for interval in (
-            (first - PREDICTION_TIME, first), (second, second + PREDICTION_TIME)))
-    velocities = (before + after) / (of_before + of_after)[:, None]
-    return PairMotion(pairs.z[1], (second - first) / NS, velocities)
+    start, end = (
+        np.clip(stamps, pairs.known[0], pairs.known[-1])
+        for stamps in (first - PREDICTION_TIME, second + PREDICTION_TIME))
+    # In the frame halfway through each turn, motions at equal velocities are proportional.
+    moved = sum(
+        _with_rotated_start(_moved(pairs, *interval), -0.5)
+        for interval in ((start, first), (second, end)))
+    times = _seconds(start, first) + _seconds(second, end)
+    predicted = moved * (_seconds(first, second) / times)[:, None]
+    return PairMotion(pairs, _with_rotated_start(predicted, 0.5))
 
 
-def _displacements(pairs: ObservationPairs, begin: Stamps, end: Stamps) -> tuple[Array, Array]:
-    """Return motions (n, 3) in the frame halfway through the turn, and their times (n,) [s]."""
-    begin, end = (np.clip(stamps, pairs.known[0], pairs.known[-1]) for stamps in (begin, end))
-    moved = models.h_pose(*(poses_at(stamps, pairs.known, pairs.poses) for stamps in (begin, end)))
-    moved[:, :2] = np.einsum('nij,nj->ni', rotations(-0.5 * moved[:, 2]), moved[:, :2])
-    return moved, (end - begin) / NS
+def _moved(pairs: ObservationPairs, begin: Stamps, end: Stamps) -> Array:
+    """Return the motions (n, 3) by odometry between two stamps of each pair."""
+    return models.h_pose(*(
+        poses_at(stamps, pairs.known, pairs.poses) for stamps in (begin, end)))
+
+
+def _with_rotated_start(motions: Array, part: float) -> Array:
+    """Return motions (n, 3) in frames that are turned back by a part of their turns."""
+    return np.column_stack([_rotated(motions[:, :2], part * motions[:, 2]), motions[:, 2]])
+
+
+def _rotated(vectors: Array, angles: Array) -> Array:
+    """Return vectors (n, 2), each turned by its angle (n,) [rad]."""
+    rotated: Array = np.einsum('nij,nj->ni', rotations(angles), vectors)
+    return rotated
+
+
+def _seconds(begin: Stamps, end: Stamps) -> Array:
+    """Return the times (n,) between stamps (n,) [s]."""
+    times: Array = (end - begin) / NS
+    return times

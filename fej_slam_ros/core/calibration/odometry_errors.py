@@ -17,7 +17,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.calibration.instruments import measured_motion, predicted_motion
+from fej_slam_ros.core.calibration.instruments import (
+    measured_motion, PairMotion, predicted_motion)
 from fej_slam_ros.core.calibration.sensor_pose import (
     observation_pairs, ObservationPairs, trajectory)
 from fej_slam_ros.core.consistency import pose_error
@@ -92,11 +93,10 @@ def fit_to_truth(
         return scaled
 
     # Metres and radians are made comparable by the residuals of a first fit.
-    first = _least(
-        lambda values: errors(values).ravel(), len(firsts), NO_ERRORS, np.ones(3, bool))
+    first = _least(lambda values: errors(values).ravel(), NO_ERRORS, np.ones(3, bool))
     spread = SIGMA_PER_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
-    return _significant(partial(
-        _least, lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel(), len(firsts)),
+    return _significant(
+        partial(_least, lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel()),
         firsts, given)
 
 
@@ -131,7 +131,9 @@ def fit_to_landmarks(
     blocks = np.unique(pairs.stamps[0] // BLOCK_TIME)
     if len(pairs.sigma) < MIN_FIT_PAIRS or len(blocks) < MIN_BLOCKS:
         return None
-    return _significant(partial(_by_instruments, pairs), pairs.stamps[0], given)
+    return _significant(
+        partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs)),
+        pairs.stamps[0], given)
 
 
 def corrected_trajectory(stamps: Stamps, poses: Array, values: Array) -> Array:
@@ -153,8 +155,8 @@ def _significant(
     """
     Return the errors that the data show; those not determined are as `given`, a (3,) array.
 
-    `fitted` returns a fit by the errors, of which some are free, and by which these are. The
-    `stamps` [ns] are those of the pairs.
+    `fitted` returns a fit by the errors, of which some are free, and by which these are. It has as
+    many residuals of each pair, in the order of the `stamps` [ns] of the pairs.
 
     """
     _, block = np.unique(stamps // BLOCK_TIME, return_inverse=True)
@@ -186,13 +188,14 @@ class _Fit:
 
     x: Array
     information: Array  #: perhaps not symmetric
-    gradients: Array  #: (n, 3) array, of half the robust cost of each pair
+    gradients: Array  #: (k, 3) array, of half the robust cost of each residual
     scatter: float  #: standard deviation of the residuals
 
     def covariance(self, block: Indices) -> Array:
         """Return the (3, 3) covariance of the gradient for pairs that depend within blocks."""
+        of_pairs = self.gradients.reshape(len(block), -1, 3).sum(axis=1)
         of_blocks = np.zeros((block.max() + 1, 3))
-        np.add.at(of_blocks, block, self.gradients)
+        np.add.at(of_blocks, block, of_pairs)
         # The mean is 0 but where an error is at its limit.
         of_blocks -= of_blocks.mean(axis=0)
         count = len(of_blocks)
@@ -200,7 +203,7 @@ class _Fit:
         return covariance
 
 
-def _least(residuals: Residuals, pairs: int, fixed: Array, free: Flags) -> _Fit:
+def _least(residuals: Residuals, fixed: Array, free: Flags) -> _Fit:
     """Return the errors with the least squares, of which some are `free`, others `fixed`."""
     def of_free(values: Array) -> Array:
         errors = fixed.copy()
@@ -218,29 +221,29 @@ def _least(residuals: Residuals, pairs: int, fixed: Array, free: Flags) -> _Fit:
         # SciPy scales J by (1 + r^2)^(-3/4), and the gradient of soft_l1 has (1 + r^2)^(-1/2).
         r, J = (rows[:len(gradients)] for rows in (fit.fun, fit.jac))
         gradients[:, free] = (r * (1.0 + r ** 2) ** 0.25)[:, None] * J
-    return _Fit(
-        x, information, gradients.reshape(pairs, -1, 3).sum(axis=1), _scatter(residuals(x)))
+    return _Fit(x, information, gradients, _scatter(residuals(x)))
 
 
-def _by_instruments(pairs: ObservationPairs, fixed: Array, free: Flags) -> _Fit:
+def _by_instruments(
+    measured: PairMotion, predicted: PairMotion, fixed: Array, free: Flags
+) -> _Fit:
     """
     Return the errors of which some are `free`, others `fixed`, by instrumental variables.
 
-    They solve sum Z' w r = 0 for the differences r of pairs, their robust weights w, and the
-    derivatives Z by predicted motion.
+    They solve sum Z' w r = 0 for the normalised differences r of pairs, their robust weights w,
+    and the derivatives Z by predicted motion.
 
     """
-    measured, predicted = measured_motion(pairs), predicted_motion(pairs)
     x, prior = fixed.copy(), np.diag(1.0 / np.square(PRIOR_SIGMA))
     limits = np.where(free, MAX_ERROR, 0.0)
     for _ in range(MAX_ITERATIONS):
-        r = _differences(pairs, x)
-        sigma = _scatter(r / pairs.sigma[:, None]) * pairs.sigma
+        r = _differences(measured.pairs, x)
+        variance = _scatter(r) ** 2
         # The weights of soft_l1.
-        cost = 2.0 * sigma ** 2 + np.sum(r ** 2, axis=1)
-        Zw = predicted.jacobian(x) * (np.sqrt(2.0 / cost) / sigma)[:, None, None] * free
+        cost = 2.0 * variance + np.sum(r ** 2, axis=1)
+        Zw = predicted.jacobian(x) * np.sqrt(2.0 / (cost * variance))[:, None, None] * free
         J = measured.jacobian(x) * free
-        gradients = np.einsum('nji,nj->ni', Zw, r)
+        gradients = (Zw * r[:, :, None]).reshape(-1, 3)
         gradient = gradients.sum(axis=0) + prior @ (x - NO_ERRORS) * free
         before, step = x, np.linalg.solve(np.einsum('nji,njk->ik', Zw, J) + prior, gradient)
         x = np.clip(x - step, fixed - limits, fixed + limits)
@@ -252,12 +255,12 @@ def _by_instruments(pairs: ObservationPairs, fixed: Array, free: Flags) -> _Fit:
 
 
 def _differences(pairs: ObservationPairs, values: Array) -> Array:
-    """Return the differences (n, 2) of pairs [m] by odometry corrected by `values` (3,)."""
+    """Return the normalised differences (n, 2) of pairs by odometry corrected by `values` (3,)."""
     moved = replace(pairs, poses=corrected_trajectory(pairs.known, pairs.poses, values))
     placed = moved.at_odometry(0.0)
     # In the base frame, which headings summed up over the whole run do not turn.
     r: Array = np.einsum('nji,nj->ni', placed.A, placed.residuals(np.zeros(3)))
-    return r * pairs.sigma[:, None]
+    return r
 
 
 def _scatter(residuals: Array) -> float:
