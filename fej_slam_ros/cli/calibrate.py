@@ -5,6 +5,8 @@ Calibrate odometry and noise in a bag, and write parameters that correct them.
 
 Systematic errors of the odometry of each robot, odometry_scale and odometry_turn_bias, are
 estimated from ground truth over 5 s, or else from landmarks that are observed again within 3 s.
+Those of its observations, observation_range_scale and observation_bearing_bias, are estimated from
+ground truth.
 
 The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of
@@ -25,12 +27,15 @@ from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.calibration_run import (
-    calibrated, Calibration, Estimates, INNOVATIONS, is_known, parsed, RobotErrors)
+    calibrated, Calibration, Estimates, INNOVATIONS, is_known, parsed, TRUTH)
 from fej_slam_ros.cli.run_table import matched_in_words
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
+from fej_slam_ros.core.calibration import observation_errors, odometry_errors
 from fej_slam_ros.core.calibration.from_innovations import counts, run as run_estimator
 from fej_slam_ros.core.calibration.from_truth import DOF, MAX_RELATIVE_ERROR
-from fej_slam_ros.core.calibration.odometry_errors import MAX_ERROR
+from fej_slam_ros.core.calibration.observation_errors import RangeBearingErrors
+from fej_slam_ros.core.calibration.odometry_errors import OdometryErrors
+from fej_slam_ros.core.calibration.systematic_errors import SystematicErrors
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.offline_matching import Received
 from fej_slam_ros.core.rejections import RejectionReason
@@ -49,6 +54,9 @@ FACTOR_HEADINGS = (
 ODOMETRY_HEADINGS = (
     'odometry of', 'distance', 'standard error', 'turn', 'standard error', 'turn bias [rad/s]',
     'standard error', 'pairs', 'from')
+OBSERVATION_HEADINGS = (
+    'observations of', 'range', 'standard error', 'bearing bias [rad]', 'standard error',
+    'observations')
 
 #: Factor on noise beyond which something else is probably wrong.
 MAX_USUAL = 5.0
@@ -88,7 +96,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         raise UserError(
             f'{arguments.bag} has no valid odometry: replay it to see the rejection reasons')
     found = calibrated(arguments, values, collector.records)
-    corrected, odometry, estimates = found.values, found.odometry, found.estimates
+    corrected = found.values
     if corrected == values:
         raise UserError(
             f'{arguments.bag} has too little data to calibrate any noise: record a longer run,'
@@ -96,14 +104,22 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     before = _scores('before', values, collector.records)
     after = _scores('after', corrected, collector.records)
     write_text(arguments.output, parameters.dump_values(corrected))
-    print(_factor_table(estimates))
+    print(_factor_table(found.estimates))
     print(text_table(SCORE_HEADINGS, (
         (robot, *(cell for cells in zip(before[robot], after[robot]) for cell in cells))
         for robot in before)))
-    if odometry:
-        print(_odometry_table(odometry))
+    if found.errors.odometry():
+        print(text_table(ODOMETRY_HEADINGS, (
+            (robot, *_value_cells(errors), str(errors.pairs), source)
+            for source, of_robots in (
+                (TRUTH, found.errors.by_truth), ('landmarks', found.errors.by_landmarks))
+            for robot, errors in of_robots.items())))
+    if found.errors.observations:
+        print(text_table(OBSERVATION_HEADINGS, (
+            (robot, *_value_cells(errors), str(errors.observations))
+            for robot, errors in found.errors.observations.items())))
     print('\n'.join([
-        *_odometry_remarks(settings.estimation, odometry), *_remarks(collector, found),
+        *_error_remarks(settings.estimation, found.errors), *_remarks(collector, found),
         f'wrote {arguments.output}']))
     return 0
 
@@ -127,30 +143,37 @@ def _scores(
     return scores
 
 
-def _odometry_table(found: RobotErrors) -> str:
-    return text_table(ODOMETRY_HEADINGS, (
-        (robot, *(
-            cell for value, sigma, is_found in zip(errors.values, errors.sigma, errors.is_known)
-            for cell in (number(value if is_found else None, '.4f'), f'{sigma:.4f}')),
-         str(errors.pairs), source)
-        for robot, (source, errors) in found.items()))
+def _value_cells(errors: OdometryErrors | RangeBearingErrors) -> list[str]:
+    """Return the values of systematic errors with their standard errors."""
+    return [
+        cell for value, sigma, is_found in zip(errors.values, errors.sigma, errors.is_known)
+        for cell in (number(value if is_found else None, '.4f'), f'{sigma:.4f}')]
 
 
-def _odometry_remarks(
-    settings: Settings, found: RobotErrors
-) -> Iterator[str]:
-    unknown = [robot.name for robot in settings.robots if robot.name not in found]
+def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]:
+    of_odometry = found.odometry()
+    unknown = [robot.name for robot in settings.robots if robot.name not in of_odometry]
     if unknown:
         yield (
             'too little data to find systematic errors of the odometry of'
             f' {", ".join(unknown)}: odometry_scale and odometry_turn_bias are unchanged')
-    distance, turn, bias = MAX_ERROR
-    for robot, (_, errors) in found.items():
+    distance, turn, bias = odometry_errors.MAX_ERROR
+    for robot, errors in of_odometry.items():
         if errors.is_at_limit:
             yield (
                 f'odometry of {robot} is wrong by {100 * distance:.0f} % in distance,'
                 f' {100 * turn:.0f} % in turns or {bias:.2g} rad/s, or more: check its units,'
                 ' wheel radius and wheel base')
+    for robot, heading in found.headings.items():
+        yield (
+            f'true headings of {robot} differ by {heading:.4f} rad from those by its direction of'
+            ' travel, which are used: check the frame of its ground truth')
+    range_, bearing = observation_errors.MAX_ERROR
+    for robot, of_observations in found.observations.items():
+        if of_observations.is_at_limit:
+            yield (
+                f'observations of {robot} are wrong by {100 * range_:.0f} % in range or'
+                f' {bearing:.2g} rad in bearing, or more: check their units and the sensor pose')
 
 
 def _factor_table(estimates: Estimates) -> str:

@@ -5,10 +5,8 @@
 import argparse
 from collections.abc import Callable, Mapping, Sequence
 import math
-from operator import attrgetter
 from typing import NamedTuple
 
-import numpy as np
 from tqdm import tqdm
 
 from fej_slam_ros.core.calibration.from_innovations import (
@@ -18,13 +16,13 @@ from fej_slam_ros.core.calibration.from_truth import (
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
-from fej_slam_ros.core.calibration.odometry_errors import (
-    fit_to_landmarks, fit_to_truth, OdometryErrors)
-from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.calibration.observation_errors import RangeBearingErrors
+from fej_slam_ros.core.calibration.odometry_errors import OdometryErrors
+from fej_slam_ros.core.calibration.systematic_errors import (
+    errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
 from fej_slam_ros.core.offline_matching import Received
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
-from fej_slam_ros.core.records import (
-    NS, Odometry, PriorMap, Scan, TrueLandmarks, TruePose)
+from fej_slam_ros.core.records import NS, Odometry, PriorMap, TrueLandmarks
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
@@ -49,15 +47,13 @@ class ScaleEstimate(NamedTuple):
 
 #: Estimates by kind of noise.
 Estimates = Mapping[str, ScaleEstimate]
-#: Source and systematic errors of the odometry of each robot with enough data.
-RobotErrors = Mapping[str, tuple[str, OdometryErrors]]
 
 
 class Calibration(NamedTuple):
     """What was found, and the records from which."""
 
     values: Mapping[str, object]  #: the corrected parameters
-    odometry: RobotErrors
+    errors: SystematicErrors
     estimates: Estimates
     matched: MatchedRecords
 
@@ -92,10 +88,15 @@ def _calibrated_by(
     arguments: argparse.Namespace, values: Mapping[str, object], matched: MatchedRecords
 ) -> Calibration:
     """Return the calibration of records in which all observations have IDs."""
-    odometry = _odometry_errors(arguments.source, parsed(values).estimation, matched.records)
-    corrected = _with_odometry_errors(values, odometry)
-    estimates = _estimate(arguments, corrected, matched.records)
-    return Calibration(_corrected(corrected, estimates), odometry, estimates, matched)
+    settings, errors = parsed(values).estimation, SystematicErrors()
+    if arguments.source != 'innovations':
+        errors = errors_by_truth(matched.records, settings)
+    if arguments.source != 'truth':
+        errors = with_errors_by_landmarks(errors, matched.records, settings)
+    corrected = _without_systematic_errors(values, errors)
+    estimates = _estimate(
+        arguments, corrected, with_corrected_headings(matched.records, errors.headings))
+    return Calibration(_corrected(corrected, estimates), errors, estimates, matched)
 
 
 def parsed(values: Mapping[str, object]) -> parameters.RunSettings:
@@ -104,48 +105,31 @@ def parsed(values: Mapping[str, object]) -> parameters.RunSettings:
     return parameters.parse(values, parameters.no_warning)
 
 
-def _odometry_errors(
-    source: str | None, settings: Settings, records: Sequence[Received]
-) -> RobotErrors:
-    """Return source and systematic errors of the odometry of each robot with enough data."""
-    truth, robots = RecordedTruth(), {robot.name: robot for robot in settings.robots}
-    of_robots: dict[str, tuple[list[Odometry], list[Scan]]] = {
-        robot: ([], []) for robot in robots}
-    for record, _ in records:
-        if isinstance(record, TruePose):
-            truth.add(record)
-        elif isinstance(record, Odometry):
-            of_robots[record.robot][0].append(record)
-        elif isinstance(record, Scan):
-            of_robots[record.robot][1].append(record)
-    found = {}
-    for robot, (odometry, scans) in of_robots.items():
-        given = np.array([*robots[robot].odometry_scale, robots[robot].odometry_turn_bias])
-        fit = None if source == 'innovations' else fit_to_truth(odometry, truth, given)
-        if fit is not None:
-            found[robot] = 'truth', fit
-        elif source != 'truth':
-            fit = fit_to_landmarks(odometry, sorted(scans, key=attrgetter('stamp')), given)
-            if fit is not None:
-                found[robot] = 'landmarks', fit
-    return found
-
-
-def _with_odometry_errors(
-    values: Mapping[str, object], found: RobotErrors
+def _without_systematic_errors(
+    values: Mapping[str, object], errors: SystematicErrors
 ) -> dict[str, object]:
     """Return parameters with the systematic errors that were found, where they are others."""
-    corrected = dict(values)
-    present = {robot.name: robot for robot in parsed(values).estimation.robots}
-    for robot, (_, errors) in found.items():
-        distance, turn, bias = (
-            float(f'{value:.4g}') if is_determined else float(value)
-            for value, is_determined in zip(errors.values, errors.is_known))
-        if (distance, turn) != present[robot].odometry_scale:
-            corrected[f'{robot}.odometry_scale'] = [distance, turn]
-        if bias != present[robot].odometry_turn_bias:
-            corrected[f'{robot}.odometry_turn_bias'] = bias
+    corrected, of_odometry = dict(values), errors.odometry()
+    for robot in parsed(values).estimation.robots:
+        found: dict[str, object] = {}
+        if robot.name in of_odometry:
+            distance, turn, found['odometry_turn_bias'] = _rounded(of_odometry[robot.name])
+            found['odometry_scale'] = (distance, turn)
+        if robot.name in errors.observations:
+            found['observation_range_scale'], found['observation_bearing_bias'] = _rounded(
+                errors.observations[robot.name])
+        for parameter, value in found.items():
+            if value != getattr(robot, parameter):
+                corrected[f'{robot.name}.{parameter}'] = (
+                    [*value] if isinstance(value, tuple) else value)
     return corrected
+
+
+def _rounded(errors: OdometryErrors | RangeBearingErrors) -> list[float]:
+    """Return the values; those that the data determine have four digits."""
+    return [
+        float(f'{value:.4g}') if is_determined else float(value)
+        for value, is_determined in zip(errors.values, errors.is_known)]
 
 
 def _estimate(

@@ -39,7 +39,8 @@ NO_ODOMETRY = 'the bag has no valid odometry: replay it to see the rejection rea
 IN_TABLES = ('sensor_pose',)
 IN_GRAPH = (
     *IN_TABLES, 'odometry_sigma', 'landmark_sigma', 'odometry_scale', 'odometry_turn_bias',
-    'odometry_noise_scale', 'landmark_noise_scale', 'robot_noise_scale')
+    'observation_range_scale', 'observation_bearing_bias', 'odometry_noise_scale',
+    'landmark_noise_scale', 'robot_noise_scale')
 
 
 class Exported(NamedTuple):

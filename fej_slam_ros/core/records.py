@@ -211,14 +211,6 @@ def merged(scans: Sequence[ScanT]) -> ScanT:
         s for scan in sorted(scans, key=_content) for s in scan.observations))
 
 
-def scaled(scan: ScanT, scale: float) -> ScanT:
-    """Return a scan with all standard deviations multiplied by a factor."""
-    if scale == 1.0:
-        return scan
-    return replace(scan, observations=tuple(
-        replace(observation, R=scale ** 2 * observation.R) for observation in scan.observations))
-
-
 def fingerprint(record: Odometry | AnyScan | PosePrior) -> int:
     """
     Return a hash of the content of a record, independent of the order of observations.

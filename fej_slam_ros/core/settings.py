@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, fields, KW_ONLY
 import numpy as np
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE, one_of, Parameter, parameter,
-    parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY, Range, ROBOT_ID,
-    ROBOT_NAMES, TEXT, TURN_BIAS)
+    BEARING_BIAS, FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE, one_of,
+    Parameter, parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY,
+    Range, RANGE_SCALE, ROBOT_ID, ROBOT_NAMES, TEXT, TURN_BIAS)
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 
@@ -39,6 +39,11 @@ class NoiseSettings:
         changeable=True)
     odometry_turn_bias: float = parameter(
         0.0, TURN_BIAS, 'turn rate subtracted from that of odometry, after its scale', 'rad/s',
+        changeable=True)
+    observation_range_scale: float = parameter(
+        1.0, RANGE_SCALE, 'true over measured range of landmarks and robots', changeable=True)
+    observation_bearing_bias: float = parameter(
+        0.0, BEARING_BIAS, 'angle subtracted from bearings of landmarks and robots', 'rad',
         changeable=True)
     odometry_noise_scale: float = parameter(
         1.0, NOISE_SCALE,

@@ -18,6 +18,7 @@ POINT_SIGMAS = st.tuples(POSITIVE, POSITIVE)
 SCALES = st.floats(1e-3, 1e3)
 ODOMETRY_SCALES = st.tuples(st.floats(0.1, 10.0), st.floats(0.1, 10.0))
 TURN_BIASES = st.floats(-10.0, 10.0)
+RANGE_SCALES, BEARING_BIASES = st.floats(0.1, 10.0), st.floats(-3.2, 3.2)
 LINES = st.text(st.characters(codec='utf-8', exclude_categories=('Cc', 'Cn', 'Zl', 'Zp')))
 # Names that YAML or ROS could misinterpret.
 TRICKY_NAMES = ['no', 'on', 'true', 'null', 'nan', 'e5', 'fej', 'qos_overrides', 'ros__parameters']
@@ -37,6 +38,8 @@ ROBOTS = st.builds(
     landmark_sigma=POINT_SIGMAS,
     odometry_scale=ODOMETRY_SCALES,
     odometry_turn_bias=TURN_BIASES,
+    observation_range_scale=RANGE_SCALES,
+    observation_bearing_bias=BEARING_BIASES,
     odometry_noise_scale=SCALES,
     landmark_noise_scale=SCALES,
     robot_noise_scale=SCALES,
@@ -73,6 +76,8 @@ def valid_settings(draw):
         landmark_sigma=draw(POINT_SIGMAS),
         odometry_scale=draw(ODOMETRY_SCALES),
         odometry_turn_bias=draw(TURN_BIASES),
+        observation_range_scale=draw(RANGE_SCALES),
+        observation_bearing_bias=draw(BEARING_BIASES),
         odometry_noise_scale=draw(SCALES),
         landmark_noise_scale=draw(SCALES),
         robot_noise_scale=draw(SCALES),

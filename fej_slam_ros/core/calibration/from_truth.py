@@ -10,27 +10,27 @@ persist for longer than a message, so that single ones would give too small a fa
 A landmark whose true position is not recorded is where it is observed on average from true poses.
 """
 
-from bisect import bisect_left
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import chain, pairwise
+from itertools import chain, compress, pairwise
 import math
-from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.calibration.team_records import NearTruth, TeamRecords
 from fej_slam_ros.core.consistency import nees, pose_error
 from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, interpolated, rotation, transform)
+    Array, between, Flags, rotation, transform)
 from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
-    NS, Observation, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    NS, Observation, Odometry, Record, RobotScan, Scan)
 from fej_slam_ros.core.settings import NoiseSettings, Settings
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
@@ -38,10 +38,6 @@ DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
 
 #: Length [ns] of the window of an error, and the longest one between sparse true poses.
 ERROR_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
-
-#: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
-#: against that of an observation.
-MAX_TRUTH_GAP = NS // 4
 
 #: Minimum number of windows whose mean gives the position of a landmark.
 MIN_POSITION_WINDOWS = 5
@@ -97,6 +93,12 @@ def _outlier_limit(dof: int) -> float:
     return float(chdtri(dof, OUTLIER_PROBABILITY))
 
 
+def inliers(squared: Array) -> Flags:
+    """Return which normalised errors of points, squared, (n,), are no outliers."""
+    kept: Flags = squared <= _outlier_limit(2) * noise_scale(squared.tolist(), 2).scale ** 2
+    return kept
+
+
 def noise_scales(errors: Errors, dof: int) -> dict[str, NoiseScale]:
     """
     Return the factor of the team under '', and those of robots that have their own.
@@ -138,36 +140,31 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     """
     Return the normalised errors squared of each kind of noise with ground truth.
 
-    The settings give the noise of measurements without covariance, and systematic errors of
-    odometry; noise scales are not used.
+    The settings give the noise of measurements without covariance, and systematic errors; noise
+    scales are not used.
 
     """
-    truth = RecordedTruth()
-    odometry: dict[str, list[Odometry]] = defaultdict(list)
-    scans: dict[tuple[str, str], list[Scan | RobotScan]] = defaultdict(list)
-    for record in records:
-        if isinstance(record, (TruePose, TrueLandmarks)):
-            truth.add(record)
-        elif isinstance(record, Odometry):
-            odometry[record.robot].append(record)
-        elif isinstance(record, (Scan, RobotScan)):
-            kind = 'robot' if isinstance(record, RobotScan) else 'landmark'
-            scans[kind, record.robot].append(record)
-    errors: dict[str, dict[str, list[float]]] = {
-        kind: {robot.name: [] for robot in settings.robots} for kind in DOF}
-    near = {}
-    for robot in settings.robots:
-        of_robot = sorted(odometry[robot.name], key=attrgetter('stamp'))
-        errors['odometry'][robot.name] += _odometry_errors(of_robot, truth, robot)
-        near[robot.name] = NearTruth(truth, robot.name, of_robot)
-    ordered = {
-        key: sorted(of_kind, key=attrgetter('stamp')) for key, of_kind in scans.items()}
+    team = TeamRecords(records, [robot.name for robot in settings.robots])
+    scans = {
+        robot.name: [without_systematic_errors(scan, robot) for scan in team.scans[robot.name]]
+        for robot in settings.robots}
     landmarks = _landmark_positions(
-        [scan for of_kind in ordered.values() for scan in of_kind if isinstance(scan, Scan)],
-        truth, near, settings.shared_landmark_ids)
-    for (kind, name), of_kind in ordered.items():
-        single = [e for scan in of_kind for e in _observation_errors(scan, landmarks, near)]
-        errors[kind][name] += _in_windows(single)
+        chain.from_iterable(scans.values()), team.truth, team.near, settings.shared_landmark_ids)
+
+    def observation_errors(of_kind: Iterable[Scan | RobotScan]) -> list[float]:
+        return [*_in_windows([
+            e for scan in of_kind for e in _observation_errors(scan, landmarks, team.near)])]
+
+    errors = {
+        'odometry': {
+            robot.name: [*_odometry_errors(team.odometry[robot.name], team.truth, robot)]
+            for robot in settings.robots},
+        'landmark': {
+            robot.name: observation_errors(scans[robot.name]) for robot in settings.robots},
+        'robot': {
+            robot.name: observation_errors(
+                without_systematic_errors(scan, robot) for scan in team.robot_scans[robot.name])
+            for robot in settings.robots}}
     return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 
 
@@ -191,44 +188,6 @@ def _odometry_errors(
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
                 yield float(nees(pose_error(x, true), P))
             begin, x, P = later, np.zeros(3), np.zeros((3, 3))
-
-
-class NearTruth:
-    """True poses of a robot, also near sparse ones: odometry leads there."""
-
-    def __init__(
-        self, truth: RecordedTruth, robot: str, odometry: Sequence[Odometry]
-    ) -> None:
-        self._truth, self._robot, self._odometry = truth, robot, odometry
-        self._isolated = truth.isolated(robot)
-
-    def pose(self, stamp: int) -> Array | None:
-        """Return the pose at a stamp [ns], a (3,) array, None if it is not known."""
-        true = self._truth.find(self._robot, stamp)
-        if true is not None:
-            return true
-        after = bisect_left(self._isolated, stamp)
-        nearest = self._isolated[max(after - 1, 0):after + 1]
-        near = [s for s in nearest if abs(s - stamp) <= MAX_TRUTH_GAP]
-        if not near:
-            return None
-        known = min(near, key=lambda s: abs(s - stamp))
-        begin, end = self._odometry_at(known), self._odometry_at(stamp)
-        if begin is None or end is None:
-            return None
-        return compose(self._truth.pose(self._robot, known), between(begin, end))
-
-    def _odometry_at(self, stamp: int) -> Array | None:
-        after = bisect_left(self._odometry, stamp, key=attrgetter('stamp'))
-        if after == len(self._odometry):
-            return None
-        if self._odometry[after].stamp == stamp:
-            return self._odometry[after].pose
-        if after == 0:
-            return None
-        earlier, later = self._odometry[after - 1], self._odometry[after]
-        fraction = (stamp - earlier.stamp) / (later.stamp - earlier.stamp)
-        return interpolated(earlier.pose, later.pose, fraction)
 
 
 class _Position(NamedTuple):
@@ -282,8 +241,7 @@ def _landmark_positions(
 def _mean_position(observed: Sequence[_Observed]) -> Array:
     """Return the weighted mean (2,) of observations without outliers."""
     points, P = np.array([o.point for o in observed]), np.array([o.P for o in observed])
-    d2 = nees(points - np.median(points, axis=0), P)
-    kept = d2 <= _outlier_limit(2) * noise_scale(d2.tolist(), 2).scale ** 2
+    kept = inliers(nees(points - np.median(points, axis=0), P))
     weights = np.linalg.inv(P[kept])
     mean: Array = np.linalg.solve(
         weights.sum(axis=0), np.einsum('kij,kj->i', weights, points[kept]))
@@ -324,12 +282,9 @@ def _in_windows(errors: Sequence[ObservationError]) -> Iterator[float]:
     """Yield the sum of the errors of each window, normalised and squared, without outliers."""
     if not errors:
         return
-    squared = [float(nees(error.e, error.R)) for error in errors]
-    limit = _outlier_limit(2) * noise_scale(squared, 2).scale ** 2
+    kept = inliers(np.array([float(nees(error.e, error.R)) for error in errors]))
     windows: dict[int | str, list[list[ObservationError]]] = defaultdict(list)
-    for error, d2 in zip(errors, squared):
-        if d2 > limit:
-            continue
+    for error in compress(errors, kept):
         of_observed = windows[error.observed]
         if not of_observed or error.stamp - of_observed[-1][0].stamp >= ERROR_WINDOW:
             of_observed.append([])

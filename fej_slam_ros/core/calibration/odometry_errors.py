@@ -16,21 +16,19 @@ from functools import partial
 import numpy as np
 from scipy.optimize import least_squares
 
-from fej_slam_ros.core import models
+from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajectory
 from fej_slam_ros.core.calibration.instruments import (
     measured_motion, PairMotion, predicted_motion)
 from fej_slam_ros.core.calibration.sensor_pose import (
-    observation_pairs, ObservationPairs, trajectory)
+    observation_pairs, ObservationPairs)
+from fej_slam_ros.core.calibration.true_motions import TrueMotions
 from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import Array, Flags, Indices, poses_at, Stamps, wrap_all
-from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.geometry import Array, Flags, Indices, Stamps
 from fej_slam_ros.core.records import NS, Odometry, Scan
 
-#: Minimum and maximum time between the two true poses of a pair [ns].
-MIN_TRUTH_TIME, MAX_TRUTH_TIME = 5 * NS, 10 * NS
 #: Maximum time between the two observations of a landmark [ns].
 MAX_LANDMARK_TIME = 3 * NS
-#: Minimum number of pairs, of true poses or of observations.
+#: Minimum number of pairs of observations.
 MIN_FIT_PAIRS = 60
 #: Odometry without systematic errors: scale of distances, scale of turns, turn bias [rad/s].
 NO_ERRORS = np.array([1.0, 1.0, 0.0])
@@ -66,28 +64,10 @@ class OdometryErrors:
     pairs: int  #: number of pairs of true poses or of observations
 
 
-def fit_to_truth(
-    odometry: Sequence[Odometry], truth: RecordedTruth, given: Array
-) -> OdometryErrors | None:
-    """
-    Return the errors of the odometry of a robot by its true poses, None if these are too few.
-
-    Errors that the data do not determine are as `given`, a (3,) array.
-
-    """
-    intervals = _true_intervals(odometry, truth)
-    if len(intervals) < MIN_FIT_PAIRS:
-        return None
-    known, poses = trajectory(odometry)
-    firsts, lasts = np.array(intervals, np.int64).T
-    (_, before), (_, after) = (
-        truth.find_all(odometry[0].robot, times.tolist()) for times in (firsts, lasts))
-    true = models.h_pose(before, after)
-
+def fit_to_truth(motions: TrueMotions, given: Array) -> OdometryErrors:
+    """Return the errors of odometry; those that the data do not determine are as `given` (3,)."""
     def errors(values: Array) -> Array:
-        moved = corrected_trajectory(known, poses, values)
-        e = pose_error(true, models.h_pose(*(
-            poses_at(times, known, moved) for times in (firsts, lasts))))
+        e = pose_error(motions.true, motions.by_odometry(values))
         # Relative to the scale: otherwise the scale 0, at which odometry has no noise, fits best.
         scaled: Array = e / values[[0, 0, 1]]
         return scaled
@@ -97,24 +77,7 @@ def fit_to_truth(
     spread = SIGMA_PER_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
     return _significant(
         partial(_least, lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel()),
-        firsts, given)
-
-
-def _true_intervals(
-    odometry: Sequence[Odometry], truth: RecordedTruth
-) -> list[tuple[int, int]]:
-    """Return the intervals between stamps of odometry [ns] at whose ends there is ground truth."""
-    intervals: list[tuple[int, int]] = []
-    begin: int | None = None
-    for stamp in sorted({record.stamp for record in odometry}):
-        if begin is not None and stamp - begin < MIN_TRUTH_TIME:
-            continue
-        if truth.covers(odometry[0].robot, stamp):
-            # Over a gap the heading may have turned by more than half a turn.
-            if begin is not None and stamp - begin <= MAX_TRUTH_TIME:
-                intervals.append((begin, stamp))
-            begin = stamp
-    return intervals
+        motions.firsts, given)
 
 
 def fit_to_landmarks(
@@ -134,19 +97,6 @@ def fit_to_landmarks(
     return _significant(
         partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs)),
         pairs.stamps[0], given)
-
-
-def corrected_trajectory(stamps: Stamps, poses: Array, values: Array) -> Array:
-    """Return the odometry poses (n, 3) at stamps (n,) [ns] without errors (3,)."""
-    distance, turn, bias = values
-    ahead, left, turned = models.h_pose(poses[:-1], poses[1:]).T
-    turns = turn * turned - bias * np.diff(stamps) / NS
-    headings = poses[0, 2] + np.append(0.0, np.cumsum(turns))
-    c, s = np.cos(headings[:-1]), np.sin(headings[:-1])
-    x, y = (
-        start + distance * np.append(0.0, np.cumsum(steps)) for start, steps in (
-            (poses[0, 0], c * ahead - s * left), (poses[0, 1], s * ahead + c * left)))
-    return np.column_stack([x, y, wrap_all(headings)])
 
 
 def _significant(

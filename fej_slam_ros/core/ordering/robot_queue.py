@@ -8,9 +8,10 @@ from itertools import takewhile
 import sys
 from typing import NamedTuple
 
+from fej_slam_ros.core.ordering.corrected_observations import corrected
 from fej_slam_ros.core.ordering.odometry_increments import OdometryIncrements
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
-from fej_slam_ros.core.records import AnyScan, Motion, NS, Odometry, RobotScan, scaled
+from fej_slam_ros.core.records import AnyScan, Motion, NS, Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -122,14 +123,14 @@ class RobotQueue:
         return list(takewhile(lambda scan: scan.stamp == stamp, self._scans))
 
     def take_scans(self, stamp: int) -> list[AnyScan]:
-        """Remove and return the scans at the stamp of an event, with scaled noise."""
+        """Remove and return the scans at the stamp of an event, corrected."""
         scans = self.scans_at(stamp)
         if not scans:
             return scans
         del self._scans[: len(scans)]
         self._observations -= _size(scans)
         self._update_next_key()
-        return [self._scaled(scan) for scan in scans]
+        return [corrected(scan, self._settings) for scan in scans]
 
     def take_surplus_scans(
         self, most: int = MAX_QUEUED_SCANS, size: int = 0, rate: float = 0.0
@@ -192,11 +193,6 @@ class RobotQueue:
             for scan in scans:
                 self._memory.remove(identity(scan))
             self._update_next_key()
-
-    def _scaled(self, scan: AnyScan) -> AnyScan:
-        if isinstance(scan, RobotScan):
-            return scaled(scan, self._settings.robot_noise_scale)
-        return scaled(scan, self._settings.landmark_noise_scale)
 
     def _update_next_key(self) -> None:
         """Set `next_key`, which is read by each step of all robots, after a change."""

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.calibration.sensor_pose import fit_sensor, SensorFit
+from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.records import Odometry, Record, Scan
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
@@ -90,7 +91,9 @@ def check(
         other = DetectorSession(replace(any_post, reversed_beams=not detector.reversed_beams))
         posts = _posts(first_messages(), other, collector.robots)
         reversed_fits = _fits(any_post.robots, records, posts)
-    landmark_fits = _fits(robots, records, [r for r in records if isinstance(r, Scan)])
+    landmark_fits = _fits(robots, records, [
+        without_systematic_errors(record, collector.robots[record.robot])
+        for record in records if isinstance(record, Scan)])
     for robot in robots:
         yield from _scan_findings(
             robot, fits.get(robot), reversed_fits.get(robot), detector.reversed_beams)
@@ -137,7 +140,8 @@ def _posts(
         for topic, found in lasers.take():
             robot, _, kind = topic.rpartition('/')
             if kind == 'landmarks':
-                posts.append(incoming_clouds.scan(found, robots[robot])[0])
+                scan, _ = incoming_clouds.scan(found, robots[robot])
+                posts.append(without_systematic_errors(scan, robots[robot]))
     return posts
 
 

@@ -9,7 +9,7 @@ import shutil
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.geometry import between, compose, rotation
 from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session import simulation
@@ -167,8 +167,7 @@ def test_systematic_errors_of_odometry_are_corrected(calibrate, places, options,
 
     settings = parameters.load(places[2]).estimation
     for robot in settings.robots:
-        *_, cells = (line.split() for line in printed.splitlines() if line.startswith(robot.name))
-        assert cells[-1] == source
+        assert row(printed[printed.index('odometry of'):], robot.name)[-1] == source
         # Four standard errors of the turns.
         assert robot.odometry_scale == pytest.approx((0.94, 1.05), abs=0.02)
         assert robot.odometry_turn_bias == pytest.approx(0.0, abs=0.001)
@@ -187,6 +186,29 @@ def test_earlier_errors_of_odometry_are_replaced_by_those_found(calibrate, place
     assert r1.odometry_scale == (1.0, 1.0)
     # On circles, a bias is not distinguished from a scale.
     assert r2.odometry_turn_bias == 0.01
+
+
+def test_systematic_errors_of_observations_are_corrected_by_ground_truth(calibrate, places):
+    def wrong(record):
+        if not isinstance(record, Scan) or record.robot != 'r1':
+            return record
+        # Ranges 4 % too short, bearings 0.03 rad too large.
+        return replace(record, observations=tuple(
+            replace(o, z=0.96 * rotation(0.03) @ o.z) for o in record.observations))
+
+    _, printed, _ = calibrate([*map(wrong, RECORDS)])
+
+    r1, r2 = parameters.load(places[2]).estimation.robots
+    scale, scale_error, bias, bias_error, _ = map(
+        float, row(printed[printed.index('observations of'):], 'r1'))
+    # With the digits that are printed and written.
+    assert scale == pytest.approx(1.0 / 0.96, abs=4.0 * scale_error)
+    assert bias == pytest.approx(0.03, abs=4.0 * bias_error)
+    assert r1.observation_range_scale == pytest.approx(scale, abs=1e-3)
+    assert r1.observation_bearing_bias == pytest.approx(bias, abs=1e-4)
+    assert (r2.observation_range_scale, r2.observation_bearing_bias) == (1.0, 0.0)
+    # Without the errors, the noise is that of the simulation.
+    assert r1.landmark_noise_scale == pytest.approx(0.5, rel=0.15)
 
 
 def test_other_parameters_are_kept_and_used(calibrate, places):

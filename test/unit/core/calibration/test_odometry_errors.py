@@ -10,6 +10,7 @@ import pytest
 
 from fej_slam_ros.core.calibration.odometry_errors import (
     fit_to_landmarks, fit_to_truth, NO_ERRORS)
+from fej_slam_ros.core.calibration.true_motions import true_motions
 from fej_slam_ros.core.geometry import between, compose, inverse, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
@@ -47,7 +48,8 @@ def by_truth(odometry, _, true, given=NO_ERRORS):
     truth = RecordedTruth()
     for record in true:
         truth.add(record)
-    return fit_to_truth(odometry, truth, given)
+    motions = true_motions(odometry, truth)
+    return None if motions is None else fit_to_truth(motions, given)
 
 
 def by_landmarks(odometry, scans, _, given=NO_ERRORS):

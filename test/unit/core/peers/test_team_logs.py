@@ -16,7 +16,8 @@ from fej_slam_ros.core.records import Observation, Odometry, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
 NOISE = NoiseSettings(
-    odometry_noise_scale=2.0, odometry_scale=(0.95, 1.04), odometry_turn_bias=-0.01)
+    odometry_noise_scale=2.0, odometry_scale=(0.95, 1.04), odometry_turn_bias=-0.01,
+    observation_range_scale=1.03, observation_bearing_bias=-0.02)
 R = np.diag([0.01, 0.02])
 
 

@@ -1,0 +1,176 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Systematic errors of the observations of one robot by ground truth: range scale and bearing bias.
+
+With positions as complex numbers, a landmark or robot at l, observed at z from the true pose
+(p, theta), gives
+
+    e^(i theta) z = beta (l - p) + noise,   beta = e^(i bearing_bias) / range_scale.
+
+Where l is not recorded, both sides are differences from their means over the observations of this
+landmark. True poses are exact beside observations, so that least squares has no bias by noise.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fej_slam_ros.core.calibration.from_truth import inliers
+from fej_slam_ros.core.calibration.odometry_errors import (
+    BLOCK_TIME, MIN_BLOCKS, MIN_FIT_PAIRS, MIN_SIGMAS)
+from fej_slam_ros.core.calibration.team_records import NearTruth
+from fej_slam_ros.core.geometry import Array, Flags, Indices
+from fej_slam_ros.core.records import AnyScan, Observation
+
+Complex = NDArray[np.complex128]
+
+#: Observations without systematic errors: range scale, bearing bias [rad].
+NO_ERRORS = np.array([1.0, 0.0])
+#: A value is determined if its standard error is below this.
+MAX_STANDARD_ERROR = np.array([0.01, 0.01])
+#: Smallest and largest difference of an error from NO_ERRORS.
+MIN_ERROR, MAX_ERROR = np.array([0.005, 0.005]), np.array([0.3, 0.3])
+#: Maximum number of fits, each without the outliers of the last one.
+MAX_FITS = 20
+#: Number of an observed place that is recorded.
+RECORDED = -1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RangeBearingErrors:
+    """Systematic errors of observations: range scale and bearing bias."""
+
+    values: Array  #: (2,) array; the given values where the data do not determine them
+    sigma: Array  #: (2,) array, standard errors
+    is_known: Flags  #: (2,) array, whether the data determine the value, perhaps as NO_ERRORS
+    is_at_limit: bool  #: whether a value is beyond MAX_ERROR and is therefore not used
+    observations: int  #: number of observations
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Positions:
+    """Positions of what is observed relative to the observer, in the axes of ``map``."""
+
+    stamps: NDArray[np.int64]  #: (n,) array [ns]
+    places: Indices  #: (n,) array, number of the landmark, or RECORDED
+    true: Complex  #: (n,) array, l - p, or -p where l is not recorded
+    observed: Complex  #: (n,) array, e^(i theta) z
+    weights: Array  #: (n,) array, inverse of the variance of a coordinate
+
+    def differences(self, positions: Complex, kept: Flags) -> Complex:
+        """Return positions (n,) less, where l is not recorded, the weighted mean of those kept."""
+        is_open = self.places != RECORDED
+        places, weights = self.places[is_open], (self.weights * kept)[is_open]
+        total = np.maximum(np.bincount(places, weights), np.finfo(float).tiny)
+        x, y = (
+            np.bincount(places, weights * part[is_open]) / total
+            for part in (positions.real, positions.imag))
+        differences = positions.copy()
+        differences[is_open] -= (x + 1j * y)[places]
+        return differences
+
+
+def fit_observations(
+    scans: Sequence[AnyScan], landmarks: Mapping[int, Array], near: Mapping[str, NearTruth],
+    given: Array,
+) -> RangeBearingErrors | None:
+    """
+    Return the errors of the observations of a robot, None if too few have ground truth.
+
+    Parameters
+    ----------
+    scans : those of the robot, of landmarks and of robots
+    landmarks : recorded true positions (2,), by ID
+    near : true poses by robot
+    given : (2,) array, errors where the data do not determine them
+
+    """
+    positions = _positions(scans, landmarks, near)
+    blocks, block = np.unique(positions.stamps // BLOCK_TIME, return_inverse=True)
+    if len(positions.stamps) < MIN_FIT_PAIRS or len(blocks) < MIN_BLOCKS:
+        return None
+    fit = _beta(positions)
+    if fit is None:
+        return None
+    beta, relative = fit
+    of_blocks = np.zeros(len(blocks), complex)
+    np.add.at(of_blocks, block, relative)
+    # Errors within a block may depend on each other.
+    variance = [
+        max(np.sum(np.square(part(errors))) for errors in (relative, of_blocks))
+        for part in (np.real, np.imag)]
+    scale = 1.0 / abs(beta)
+    return _significant(
+        np.array([scale, np.angle(beta)]), np.sqrt(variance) * [scale, 1.0], given,
+        int(np.count_nonzero(relative)))
+
+
+def _beta(positions: _Positions) -> tuple[complex, Complex] | None:
+    """
+    Return beta by least squares without outliers, and its relative errors (n,), as a sum.
+
+    None if there are no differences, as of a robot at rest.
+
+    """
+    now, kept = np.ones(len(positions.stamps), bool), np.zeros(0, bool)
+    for _ in range(MAX_FITS):
+        if np.array_equal(now, kept):
+            break
+        kept = now
+        y, x = (positions.differences(v, kept) for v in (positions.true, positions.observed))
+        weighted = positions.weights * kept * y.conj()
+        information = np.sum(weighted * y).real
+        if information == 0.0:
+            return None
+        beta = complex(np.sum(weighted * x) / information)
+        e = x - beta * y
+        now = inliers(positions.weights * np.abs(e) ** 2)
+    return beta, weighted * e / (beta * information)
+
+
+def _positions(
+    scans: Sequence[AnyScan], landmarks: Mapping[int, Array], near: Mapping[str, NearTruth]
+) -> _Positions:
+    """Return the observations from known true poses."""
+    rows = [row for scan in scans for row in _rows(scan, landmarks, near)]
+    stamps, ids, true, observed, weights = zip(*rows) if rows else ((),) * 5
+    number = {id_: k for k, id_ in enumerate(dict.fromkeys(ids))} | {None: RECORDED}
+    return _Positions(
+        np.array(stamps, np.int64), np.array([number[id_] for id_ in ids], np.intp),
+        np.array(true, complex), np.array(observed, complex), np.array(weights))
+
+
+def _rows(
+    scan: AnyScan, landmarks: Mapping[int, Array], near: Mapping[str, NearTruth]
+) -> Iterator[tuple[int, int | None, complex, complex, float]]:
+    """Yield stamp, ID if its position is not recorded, l - p, e^(i theta) z, and weight."""
+    pose = near[scan.robot].pose(scan.stamp)
+    if pose is None:
+        return
+    p, heading = complex(*pose[:2]), np.exp(1j * pose[2])
+    for o in scan.observations:
+        if isinstance(o, Observation):
+            place, open_id = landmarks.get(o.id), None if o.id in landmarks else o.id
+        else:
+            place, open_id = near[o.observed].pose(scan.stamp), None
+            if place is None:
+                continue
+        yield (
+            scan.stamp, open_id, (0.0 if place is None else complex(*place[:2])) - p,
+            heading * complex(*o.z), 2.0 / float(np.trace(o.R)))
+
+
+def _significant(
+    found: Array, sigma: Array, given: Array, observations: int
+) -> RangeBearingErrors:
+    """Return the errors that the data show; those not determined are as given."""
+    error = np.abs(found - NO_ERRORS)
+    at_limit, is_determined = error > MAX_ERROR, sigma < MAX_STANDARD_ERROR
+    known = is_determined & ~at_limit
+    shown = known & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
+    return RangeBearingErrors(
+        np.where(shown, found, np.where(known, NO_ERRORS, given)), sigma, known,
+        bool(np.any(at_limit & is_determined)), observations)

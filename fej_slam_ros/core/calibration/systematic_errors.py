@@ -1,0 +1,107 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Systematic errors of a team: of odometry, observations, and headings of ground truth."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from fej_slam_ros.core.calibration.observation_errors import fit_observations, RangeBearingErrors
+from fej_slam_ros.core.calibration.odometry_errors import (
+    fit_to_landmarks, fit_to_truth, MIN_SIGMAS, OdometryErrors)
+from fej_slam_ros.core.calibration.team_records import TeamRecords
+from fej_slam_ros.core.calibration.true_motions import true_motions, TrueMotions
+from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.offline_matching import Received
+from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
+from fej_slam_ros.core.records import TruePose
+from fej_slam_ros.core.settings import RobotSettings, Settings
+
+#: Maximum number of times that errors of headings and of odometry are fitted in turn, and the
+#: change of the heading [rad] after which they are not.
+MAX_ALIGNMENTS, MAX_CHANGE = 20, 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SystematicErrors:
+    """Systematic errors by robot, of those with enough data."""
+
+    by_truth: Mapping[str, OdometryErrors] = field(default_factory=dict)  #: of odometry
+    by_landmarks: Mapping[str, OdometryErrors] = field(default_factory=dict)  #: of odometry
+    headings: Mapping[str, float] = field(default_factory=dict)  #: of true poses [rad]
+    observations: Mapping[str, RangeBearingErrors] = field(default_factory=dict)
+
+    def odometry(self) -> dict[str, OdometryErrors]:
+        """Return the errors of odometry from either source."""
+        return {**self.by_truth, **self.by_landmarks}
+
+
+def errors_by_truth(records: Sequence[Received], settings: Settings) -> SystematicErrors:
+    """Return the errors that ground truth shows."""
+    team = _team(records, settings)
+    odometry, headings = {}, {}
+    for robot in settings.robots:
+        motions = true_motions(team.odometry[robot.name], team.truth)
+        if motions is not None:
+            odometry[robot.name], heading = _with_heading_error(motions, _given(robot))
+            if heading:
+                headings[robot.name] = heading
+    team = _team(with_corrected_headings(records, headings), settings)
+    landmarks = team.truth.landmarks if settings.shared_landmark_ids else {}
+    observations = {}
+    for robot in settings.robots:
+        of_observations = fit_observations(
+            [*team.scans[robot.name], *team.robot_scans[robot.name]], landmarks, team.near,
+            np.array([robot.observation_range_scale, robot.observation_bearing_bias]))
+        if of_observations is not None:
+            observations[robot.name] = of_observations
+    return SystematicErrors(odometry, {}, headings, observations)
+
+
+def _with_heading_error(motions: TrueMotions, given: Array) -> tuple[OdometryErrors, float]:
+    """Return the errors of odometry and of true headings [rad], 0 if these are not shown."""
+    errors, heading = fit_to_truth(motions, given), 0.0
+    for _ in range(MAX_ALIGNMENTS):
+        change, sigma = motions.with_headings(heading).heading_error(errors.values)
+        heading += change
+        errors = fit_to_truth(motions.with_headings(heading), given)
+        if abs(change) < MAX_CHANGE:
+            break
+    if abs(heading) > MIN_SIGMAS * sigma:
+        return errors, heading
+    return fit_to_truth(motions, given), 0.0
+
+
+def with_errors_by_landmarks(
+    found: SystematicErrors, records: Sequence[Received], settings: Settings
+) -> SystematicErrors:
+    """Return errors with those of the odometry of other robots, which landmarks show."""
+    team, by_landmarks = _team(records, settings), {}
+    for robot in settings.robots:
+        if robot.name not in found.by_truth:
+            errors = fit_to_landmarks(team.odometry[robot.name], [
+                without_systematic_errors(scan, robot) for scan in team.scans[robot.name]],
+                _given(robot))
+            if errors is not None:
+                by_landmarks[robot.name] = errors
+    return replace(found, by_landmarks=by_landmarks)
+
+
+def with_corrected_headings(
+    records: Sequence[Received], errors: Mapping[str, float]
+) -> list[Received]:
+    """Return records in which true headings have no errors [rad]."""
+    return [
+        (replace(record, pose=record.pose - [0.0, 0.0, errors[record.robot]])
+         if isinstance(record, TruePose) and record.robot in errors else record, received)
+        for record, received in records]
+
+
+def _team(records: Sequence[Received], settings: Settings) -> TeamRecords:
+    return TeamRecords(
+        (record for record, _ in records), [robot.name for robot in settings.robots])
+
+
+def _given(robot: RobotSettings) -> Array:
+    return np.array([*robot.odometry_scale, robot.odometry_turn_bias])

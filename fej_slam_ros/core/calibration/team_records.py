@@ -1,0 +1,80 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Records of a team by robot, and its ground truth."""
+
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from operator import attrgetter
+
+from fej_slam_ros.core.geometry import Array, between, compose, interpolated
+from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.records import (
+    NS, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+
+#: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
+#: against that of an observation.
+MAX_TRUTH_GAP = NS // 4
+
+
+class TeamRecords:
+    """Odometry and scans of each robot in the order of their stamps, and ground truth."""
+
+    def __init__(self, records: Iterable[Record], robots: Sequence[str]) -> None:
+        self.truth = RecordedTruth()
+        self.odometry: dict[str, list[Odometry]] = {robot: [] for robot in robots}
+        self.scans: dict[str, list[Scan]] = {robot: [] for robot in robots}
+        self.robot_scans: dict[str, list[RobotScan]] = {robot: [] for robot in robots}
+        for record in records:
+            if isinstance(record, (TruePose, TrueLandmarks)):
+                self.truth.add(record)
+            elif isinstance(record, Odometry):
+                self.odometry[record.robot].append(record)
+            elif isinstance(record, Scan):
+                self.scans[record.robot].append(record)
+            elif isinstance(record, RobotScan):
+                self.robot_scans[record.robot].append(record)
+        for robot in robots:
+            self.odometry[robot].sort(key=attrgetter('stamp'))
+            self.scans[robot].sort(key=attrgetter('stamp'))
+            self.robot_scans[robot].sort(key=attrgetter('stamp'))
+        #: true poses of each robot
+        self.near = {
+            robot: NearTruth(self.truth, robot, self.odometry[robot]) for robot in robots}
+
+
+class NearTruth:
+    """True poses of a robot, also near sparse ones: odometry leads there."""
+
+    def __init__(
+        self, truth: RecordedTruth, robot: str, odometry: Sequence[Odometry]
+    ) -> None:
+        self._truth, self._robot, self._odometry = truth, robot, odometry
+        self._isolated = truth.isolated(robot)
+
+    def pose(self, stamp: int) -> Array | None:
+        """Return the pose at a stamp [ns], a (3,) array, None if it is not known."""
+        true = self._truth.find(self._robot, stamp)
+        if true is not None:
+            return true
+        after = bisect_left(self._isolated, stamp)
+        nearest = self._isolated[max(after - 1, 0):after + 1]
+        near = [s for s in nearest if abs(s - stamp) <= MAX_TRUTH_GAP]
+        if not near:
+            return None
+        known = min(near, key=lambda s: abs(s - stamp))
+        begin, end = self._odometry_at(known), self._odometry_at(stamp)
+        if begin is None or end is None:
+            return None
+        return compose(self._truth.pose(self._robot, known), between(begin, end))
+
+    def _odometry_at(self, stamp: int) -> Array | None:
+        after = bisect_left(self._odometry, stamp, key=attrgetter('stamp'))
+        if after == len(self._odometry):
+            return None
+        if self._odometry[after].stamp == stamp:
+            return self._odometry[after].pose
+        if after == 0:
+            return None
+        earlier, later = self._odometry[after - 1], self._odometry[after]
+        fraction = (stamp - earlier.stamp) / (later.stamp - earlier.stamp)
+        return interpolated(earlier.pose, later.pose, fraction)

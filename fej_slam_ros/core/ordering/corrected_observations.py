@@ -1,0 +1,34 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Observations of landmarks and robots without the errors that the parameters of a robot state."""
+
+from dataclasses import replace
+
+from fej_slam_ros.core.geometry import rotation
+from fej_slam_ros.core.records import AnyScan, RobotScan, ScanT
+from fej_slam_ros.core.settings import NoiseSettings
+
+
+def without_systematic_errors(scan: ScanT, settings: NoiseSettings) -> ScanT:
+    """Return a scan with corrected ranges and bearings; no noise scale is applied."""
+    if settings.observation_range_scale == 1.0 and settings.observation_bearing_bias == 0.0:
+        return scan
+    A = settings.observation_range_scale * rotation(-settings.observation_bearing_bias)
+    return replace(scan, observations=tuple(
+        replace(o, z=A @ o.z, R=A @ o.R @ A.T) for o in scan.observations))
+
+
+def corrected(scan: AnyScan, settings: NoiseSettings) -> AnyScan:
+    """Return a scan with corrected ranges, bearings, and covariances by the noise scale."""
+    if isinstance(scan, RobotScan):
+        return _scaled(
+            without_systematic_errors(scan, settings), settings.robot_noise_scale)
+    return _scaled(without_systematic_errors(scan, settings), settings.landmark_noise_scale)
+
+
+def _scaled(scan: ScanT, scale: float) -> ScanT:
+    """Return a scan with all standard deviations multiplied by a factor."""
+    if scale == 1.0:
+        return scan
+    return replace(scan, observations=tuple(
+        replace(o, R=scale ** 2 * o.R) for o in scan.observations))
