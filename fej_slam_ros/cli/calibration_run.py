@@ -10,7 +10,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from fej_slam_ros.core.calibration.from_innovations import (
-    counts, most_likely_scales, with_scans_apart)
+    comparable, counts, log_likelihood, most_likely_scales, with_scans_apart)
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, ERROR_WINDOW, Errors, noise_scales, NoiseScale, normalized_errors)
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
@@ -31,6 +31,9 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 #: Maximum number of times that observations without IDs are matched, and the change of the
 #: logarithm of a factor below which they are not matched again.
 MAX_MATCHINGS, MAX_LOG_CHANGE = 8, 0.05
+#: Gain of the log-likelihood from which wrong distances are wrong ranges: of three standard
+#: deviations, 4.5, for errors that persist over ten observations.
+MIN_GAIN = 45.0
 
 #: Sources of scales: without ground truth, innovations over some seconds and, of what these do not
 #: determine, single ones.
@@ -93,6 +96,9 @@ def _calibrated_by(
         errors = errors_by_truth(matched.records, settings)
     if arguments.source != 'truth':
         errors = with_errors_by_landmarks(errors, matched.records, settings)
+        beginning = _beginning(matched.records, arguments.seconds)
+        with tqdm(desc='ranges', unit='run', disable=None) as bar:
+            errors = _with_errors_of_ranges(errors, values, beginning, bar.update)
     corrected = _without_systematic_errors(values, errors)
     estimates = _estimate(
         arguments, corrected, with_corrected_headings(matched.records, errors.headings))
@@ -103,6 +109,35 @@ def parsed(values: Mapping[str, object]) -> parameters.RunSettings:
     """Return the settings that parameters give."""
     # What is wrong in the file was written when it was loaded.
     return parameters.parse(values, parameters.no_warning)
+
+
+def _with_errors_of_ranges(
+    errors: SystematicErrors, values: Mapping[str, object], records: Sequence[Received],
+    on_run: Callable[[], object],
+) -> SystematicErrors:
+    """
+    Return errors in which wrong distances are wrong ranges where innovations show that.
+
+    Distances by landmarks fit the ranges of the same robot. Only the map that it shares with
+    others shows which of both is wrong.
+
+    """
+    def log_likelihood_of(errors: SystematicErrors) -> float:
+        settings = parsed(_without_systematic_errors(values, errors))
+        on_run()
+        return log_likelihood(comparable(settings.estimation), records, prior_map(settings))
+
+    wrong = {
+        robot: abs(math.log(found.values[0])) for robot, found in errors.by_landmarks.items()
+        if found.is_known[0] and found.values[0] != 1.0}
+    best = log_likelihood_of(errors) if wrong else 0.0
+    robots = {robot.name: robot for robot in parsed(values).estimation.robots}
+    for robot in sorted(wrong, key=wrong.__getitem__, reverse=True):
+        other = errors.with_error_of_ranges(robots[robot])
+        found = log_likelihood_of(other)
+        if found > best + MIN_GAIN:
+            errors, best = other, found
+    return errors
 
 
 def _without_systematic_errors(

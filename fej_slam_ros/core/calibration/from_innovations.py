@@ -77,6 +77,17 @@ def run(
     return estimator, rejected
 
 
+def log_likelihood(
+    settings: Settings, records: Iterable[Received], prior: PriorMap | None
+) -> float:
+    """Return the log-likelihood of the innovations of an estimator with `comparable` settings."""
+    try:
+        estimator, _ = run(settings, records, prior)
+    except BrokenEstimateError:
+        return -math.inf
+    return estimator.innovations.log_likelihood
+
+
 def most_likely_scales(
     settings: Settings, records: Sequence[Received], kinds: Sequence[str],
     prior: PriorMap | None = None, on_run: Callable[[], object] = lambda: None,
@@ -128,13 +139,10 @@ class _Search:
         """Return the negative log-likelihood."""
         if np.abs(theta).max() > math.log(MAX_FACTOR):
             return math.inf
-        settings = with_scales(self._ungated, self.scales(theta))
-        try:
-            estimator, _ = run(settings, records, self._prior)
-        except BrokenEstimateError:
-            return math.inf
+        cost = -log_likelihood(
+            with_scales(self._ungated, self.scales(theta)), records, self._prior)
         self._on_run()
-        return -estimator.innovations.log_likelihood
+        return cost
 
     def outliers(self, records: Iterable[Received], theta: Array) -> set[ObservationKey]:
         """Return the gated observations."""

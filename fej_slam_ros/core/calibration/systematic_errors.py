@@ -32,6 +32,19 @@ class SystematicErrors:
     headings: Mapping[str, float] = field(default_factory=dict)  #: of true poses [rad]
     observations: Mapping[str, RangeBearingErrors] = field(default_factory=dict)
 
+    def with_error_of_ranges(self, robot: RobotSettings) -> 'SystematicErrors':
+        """Return errors in which a wrong scale of distances is one of ranges instead."""
+        odometry, (scale, bias) = self.by_landmarks[robot.name], _given_observations(robot)
+        distance, *others = odometry.values
+        ranges = RangeBearingErrors(
+            np.array([scale / distance, bias]),
+            np.array([scale * odometry.sigma[0] / distance ** 2, np.inf]),
+            np.array([True, False]), False, odometry.pairs)
+        odometry = replace(odometry, values=np.array([1.0, *others]))
+        return replace(
+            self, by_landmarks={**self.by_landmarks, robot.name: odometry},
+            observations={**self.observations, robot.name: ranges})
+
     def odometry(self) -> dict[str, OdometryErrors]:
         """Return the errors of odometry from either source."""
         return {**self.by_truth, **self.by_landmarks}
@@ -44,7 +57,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
     for robot in settings.robots:
         motions = true_motions(team.odometry[robot.name], team.truth)
         if motions is not None:
-            odometry[robot.name], heading = _with_heading_error(motions, _given(robot))
+            odometry[robot.name], heading = _with_heading_error(motions, _given_odometry(robot))
             if heading:
                 headings[robot.name] = heading
     team = _team(with_corrected_headings(records, headings), settings)
@@ -53,7 +66,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
     for robot in settings.robots:
         of_observations = fit_observations(
             [*team.scans[robot.name], *team.robot_scans[robot.name]], landmarks, team.near,
-            np.array([robot.observation_range_scale, robot.observation_bearing_bias]))
+            _given_observations(robot))
         if of_observations is not None:
             observations[robot.name] = of_observations
     return SystematicErrors(odometry, {}, headings, observations)
@@ -82,7 +95,7 @@ def with_errors_by_landmarks(
         if robot.name not in found.by_truth:
             errors = fit_to_landmarks(team.odometry[robot.name], [
                 without_systematic_errors(scan, robot) for scan in team.scans[robot.name]],
-                _given(robot))
+                _given_odometry(robot))
             if errors is not None:
                 by_landmarks[robot.name] = errors
     return replace(found, by_landmarks=by_landmarks)
@@ -103,5 +116,9 @@ def _team(records: Sequence[Received], settings: Settings) -> TeamRecords:
         (record for record, _ in records), [robot.name for robot in settings.robots])
 
 
-def _given(robot: RobotSettings) -> Array:
+def _given_odometry(robot: RobotSettings) -> Array:
     return np.array([*robot.odometry_scale, robot.odometry_turn_bias])
+
+
+def _given_observations(robot: RobotSettings) -> Array:
+    return np.array([robot.observation_range_scale, robot.observation_bearing_bias])

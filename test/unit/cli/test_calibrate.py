@@ -211,6 +211,36 @@ def test_systematic_errors_of_observations_are_corrected_by_ground_truth(calibra
     assert r1.landmark_noise_scale == pytest.approx(0.5, rel=0.15)
 
 
+@pytest.mark.parametrize('is_sensor', [True, False])
+def test_without_ground_truth_a_shared_map_tells_wrong_ranges_from_wrong_distances(
+    calibrate, places, is_sensor,
+):
+    """In either case, the distances of r1 by odometry are 5 % longer than those by its ranges."""
+    def wrong(record):
+        if not isinstance(record, Scan) or record.robot != 'r1':
+            return record
+        return replace(record, observations=tuple(
+            replace(o, z=o.z / 1.05) for o in record.observations))
+
+    write_parameters(
+        places[1], robots=['r1', 'r2'], **{'r1.observation_bearing_bias': 0.001})
+    own = [r for r in ON_CIRCLES if isinstance(r, Odometry) and r.robot == 'r1']
+    others = [r for r in ON_CIRCLES if not (isinstance(r, Odometry) and r.robot == 'r1')]
+    records = [*map(wrong, ON_CIRCLES)] if is_sensor else [
+        *with_odometry_errors(own, (1.0 / 1.05, 1.0)), *others]
+
+    calibrate(sorted(records, key=lambda r: r.stamp), '--from', 'innovations', '--seconds', '100')
+
+    r1, r2 = parameters.load(places[2]).estimation.robots
+    ranges, distance = (1.05, 1.0) if is_sensor else (1.0, 1.0 / 1.05)
+    # Four standard errors of the distances of r1.
+    assert r1.observation_range_scale == pytest.approx(ranges, abs=0.015)
+    assert r1.odometry_scale[0] == pytest.approx(distance, abs=0.015)
+    assert (r2.observation_range_scale, r2.odometry_scale[0]) == (1.0, 1.0)
+    # Nothing was found of the bearings.
+    assert r1.observation_bearing_bias == 0.001
+
+
 def test_other_parameters_are_kept_and_used(calibrate, places):
     given = {
         'robots': ['r1', 'r2'], 'use_sim_time': True, 'landmark_noise_scale': 7.0,
