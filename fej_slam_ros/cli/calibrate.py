@@ -164,7 +164,7 @@ def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]
                 f'odometry of {robot} is wrong by {100 * distance:.0f} % in distance,'
                 f' {100 * turn:.0f} % in turns or {bias:.2g} rad/s, or more: check its units,'
                 ' wheel radius and wheel base')
-    for robot, heading in found.headings.items():
+    for robot, (heading, _) in found.headings.items():
         yield (
             f'true headings of {robot} differ by {heading:.4f} rad from those by its direction of'
             ' travel, which are used: check the frame of its ground truth')

@@ -14,18 +14,17 @@ landmark. True poses are exact beside observations, so that least squares has no
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.calibration.from_truth import inliers
 from fej_slam_ros.core.calibration.odometry_errors import (
     BLOCK_TIME, MIN_BLOCKS, MIN_FIT_PAIRS, MIN_SIGMAS)
+from fej_slam_ros.core.calibration.offset_regression import Complex, regression
 from fej_slam_ros.core.calibration.team_records import NearTruth
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.records import AnyScan, Observation
-
-Complex = NDArray[np.complex128]
 
 #: Observations without systematic errors: range scale, bearing bias [rad].
 NO_ERRORS = np.array([1.0, 0.0])
@@ -33,8 +32,6 @@ NO_ERRORS = np.array([1.0, 0.0])
 MAX_STANDARD_ERROR = np.array([0.01, 0.01])
 #: Smallest and largest difference of an error from NO_ERRORS.
 MIN_ERROR, MAX_ERROR = np.array([0.005, 0.005]), np.array([0.3, 0.3])
-#: Maximum number of fits, each without the outliers of the last one.
-MAX_FITS = 20
 #: Number of an observed place that is recorded.
 RECORDED = -1
 
@@ -60,7 +57,12 @@ class _Positions:
     observed: Complex  #: (n,) array, e^(i theta) z
     weights: Array  #: (n,) array, inverse of the variance of a coordinate
 
-    def differences(self, positions: Complex, kept: Flags) -> Complex:
+    def equations(self, kept: Flags) -> tuple[Complex, Complex]:
+        """Return the factors (n, 1) of beta, and the products (n,), see `regression`."""
+        return (
+            self._differences(self.true, kept)[:, None], self._differences(self.observed, kept))
+
+    def _differences(self, positions: Complex, kept: Flags) -> Complex:
         """Return positions (n,) less, where l is not recorded, the weighted mean of those kept."""
         is_open = self.places != RECORDED
         places, weights = self.places[is_open], (self.weights * kept)[is_open]
@@ -75,7 +77,7 @@ class _Positions:
 
 def fit_observations(
     scans: Sequence[AnyScan], landmarks: Mapping[int, Array], near: Mapping[str, NearTruth],
-    given: Array,
+    heading_sigma: float, given: Array,
 ) -> RangeBearingErrors | None:
     """
     Return the errors of the observations of a robot, None if too few have ground truth.
@@ -85,6 +87,7 @@ def fit_observations(
     scans : those of the robot, of landmarks and of robots
     landmarks : recorded true positions (2,), by ID
     near : true poses by robot
+    heading_sigma : standard error of the correction of the true headings [rad]
     given : (2,) array, errors where the data do not determine them
 
     """
@@ -92,43 +95,19 @@ def fit_observations(
     blocks, block = np.unique(positions.stamps // BLOCK_TIME, return_inverse=True)
     if len(positions.stamps) < MIN_FIT_PAIRS or len(blocks) < MIN_BLOCKS:
         return None
-    fit = _beta(positions)
+    fit = regression(positions.equations, positions.weights)
     if fit is None:
         return None
-    beta, relative = fit
     of_blocks = np.zeros(len(blocks), complex)
-    np.add.at(of_blocks, block, relative)
+    np.add.at(of_blocks, block, fit.relative)
     # Errors within a block may depend on each other.
-    variance = [
-        max(np.sum(np.square(part(errors))) for errors in (relative, of_blocks))
-        for part in (np.real, np.imag)]
-    scale = 1.0 / abs(beta)
+    sigma = [
+        max(fit.sigma, float(np.linalg.norm(part(of_blocks)))) for part in (np.real, np.imag)]
+    scale = 1.0 / abs(fit.c)
     return _significant(
-        np.array([scale, np.angle(beta)]), np.sqrt(variance) * [scale, 1.0], given,
-        int(np.count_nonzero(relative)))
-
-
-def _beta(positions: _Positions) -> tuple[complex, Complex] | None:
-    """
-    Return beta by least squares without outliers, and its relative errors (n,), as a sum.
-
-    None if there are no differences, as of a robot at rest.
-
-    """
-    now, kept = np.ones(len(positions.stamps), bool), np.zeros(0, bool)
-    for _ in range(MAX_FITS):
-        if np.array_equal(now, kept):
-            break
-        kept = now
-        y, x = (positions.differences(v, kept) for v in (positions.true, positions.observed))
-        weighted = positions.weights * kept * y.conj()
-        information = np.sum(weighted * y).real
-        if information == 0.0:
-            return None
-        beta = complex(np.sum(weighted * x) / information)
-        e = x - beta * y
-        now = inliers(positions.weights * np.abs(e) ** 2)
-    return beta, weighted * e / (beta * information)
+        np.array([scale, np.angle(fit.c)]),
+        np.array([scale * sigma[0], math.hypot(sigma[1], heading_sigma)]), given,
+        int(np.count_nonzero(fit.relative)))
 
 
 def _positions(
@@ -146,7 +125,7 @@ def _positions(
 def _rows(
     scan: AnyScan, landmarks: Mapping[int, Array], near: Mapping[str, NearTruth]
 ) -> Iterator[tuple[int, int | None, complex, complex, float]]:
-    """Yield stamp, ID if its position is not recorded, l - p, e^(i theta) z, and weight."""
+    """Yield stamp, ID if its position is not recorded, and the other columns of `_Positions`."""
     pose = near[scan.robot].pose(scan.stamp)
     if pose is None:
         return

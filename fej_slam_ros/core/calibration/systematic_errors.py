@@ -29,7 +29,8 @@ class SystematicErrors:
 
     by_truth: Mapping[str, OdometryErrors] = field(default_factory=dict)  #: of odometry
     by_landmarks: Mapping[str, OdometryErrors] = field(default_factory=dict)  #: of odometry
-    headings: Mapping[str, float] = field(default_factory=dict)  #: of true poses [rad]
+    #: of the headings of true poses, with their standard errors [rad]
+    headings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     observations: Mapping[str, RangeBearingErrors] = field(default_factory=dict)
 
     def with_error_of_ranges(self, robot: RobotSettings) -> 'SystematicErrors':
@@ -58,7 +59,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
         motions = true_motions(team.odometry[robot.name], team.truth)
         if motions is not None:
             odometry[robot.name], heading = _with_heading_error(motions, _given_odometry(robot))
-            if heading:
+            if heading is not None:
                 headings[robot.name] = heading
     team = _team(with_corrected_headings(records, headings), settings)
     landmarks = team.truth.landmarks if settings.shared_landmark_ids else {}
@@ -66,14 +67,16 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
     for robot in settings.robots:
         of_observations = fit_observations(
             [*team.scans[robot.name], *team.robot_scans[robot.name]], landmarks, team.near,
-            _given_observations(robot))
+            headings.get(robot.name, (0.0, 0.0))[1], _given_observations(robot))
         if of_observations is not None:
             observations[robot.name] = of_observations
     return SystematicErrors(odometry, {}, headings, observations)
 
 
-def _with_heading_error(motions: TrueMotions, given: Array) -> tuple[OdometryErrors, float]:
-    """Return the errors of odometry and of true headings [rad], 0 if these are not shown."""
+def _with_heading_error(
+    motions: TrueMotions, given: Array
+) -> tuple[OdometryErrors, tuple[float, float] | None]:
+    """Return the errors of odometry, and of true headings with its sigma [rad] if it is shown."""
     errors, heading = fit_to_truth(motions, given), 0.0
     for _ in range(MAX_ALIGNMENTS):
         change, sigma = motions.with_headings(heading).heading_error(errors.values)
@@ -82,8 +85,8 @@ def _with_heading_error(motions: TrueMotions, given: Array) -> tuple[OdometryErr
         if abs(change) < MAX_CHANGE:
             break
     if abs(heading) > MIN_SIGMAS * sigma:
-        return errors, heading
-    return fit_to_truth(motions, given), 0.0
+        return errors, (heading, sigma)
+    return fit_to_truth(motions, given), None
 
 
 def with_errors_by_landmarks(
@@ -102,11 +105,11 @@ def with_errors_by_landmarks(
 
 
 def with_corrected_headings(
-    records: Sequence[Received], errors: Mapping[str, float]
+    records: Sequence[Received], errors: Mapping[str, tuple[float, float]]
 ) -> list[Received]:
-    """Return records in which true headings have no errors [rad]."""
+    """Return records in which true headings have no errors, given with their sigmas [rad]."""
     return [
-        (replace(record, pose=record.pose - [0.0, 0.0, errors[record.robot]])
+        (replace(record, pose=record.pose - [0.0, 0.0, errors[record.robot][0]])
          if isinstance(record, TruePose) and record.robot in errors else record, received)
         for record, received in records]
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajectory
-from fej_slam_ros.core.calibration.from_truth import inliers
+from fej_slam_ros.core.calibration.offset_regression import regression
 from fej_slam_ros.core.calibration.sensor_pose import trajectory
 from fej_slam_ros.core.geometry import Array, poses_at, rotation, Stamps
 from fej_slam_ros.core.ground_truth import RecordedTruth
@@ -20,8 +20,8 @@ from fej_slam_ros.core.records import NS, Odometry
 MIN_TIME, MAX_TIME = 5 * NS, 10 * NS
 #: Minimum number of motions.
 MIN_MOTIONS = 60
-#: Number of fits of the heading error, each without the outliers of the last one.
-HEADING_FITS = 3
+#: Usual error of odometry in such a motion [m].
+MOTION_SIGMA = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,23 +51,17 @@ class TrueMotions:
         Return the error of the true headings by the direction of travel, and its sigma [rad].
 
         The frame of a motion-capture system is seldom exactly the base frame. With motions d by
-        truth, u by odometry without errors, `values` (3,), and turns phi, all as complex numbers,
-        u = c d + (1 - e^(i phi)) o, where the angle of c is the error and o the position of what
-        the system locates. Motions on a circle do not tell them apart.
+        truth, u by odometry without errors, `values` (3,), and turns phi,
+
+            u = c d + (1 - e^(i phi)) o
+
+        where the angle of c is the error and o the position of what the system locates.
 
         """
-        if not self.true.any():
-            return 0.0, math.inf
         d, u = (m[:, 0] + 1j * m[:, 1] for m in (self.true, self.by_odometry(values)))
         A = np.column_stack([d, 1.0 - np.exp(1j * self.true[:, 2])])
-        kept = np.ones(len(A), bool)
-        for _ in range(HEADING_FITS):
-            N = np.linalg.pinv(A[kept])
-            x = N @ u[kept]
-            e = u - A @ x
-            relative = N[0] * e[kept] / x[0]
-            kept = inliers(np.abs(e) ** 2)
-        return float(np.angle(x[0])), float(np.sqrt(np.sum(relative.imag ** 2)))
+        fit = regression(lambda _: (A, u), np.full(len(d), MOTION_SIGMA ** -2))
+        return (0.0, math.inf) if fit is None else (float(np.angle(fit.c)), fit.sigma)
 
 
 def true_motions(odometry: Sequence[Odometry], truth: RecordedTruth) -> TrueMotions | None:
