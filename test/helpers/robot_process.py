@@ -39,7 +39,7 @@ def main(bag, rate, sent, *robots):
     with ros([]) as stopped, Path(sent).open('a', buffering=1, encoding='utf-8') as file:
         node = Node(f'robot_{robots[0]}')
         topics = {m.topic: m.type_name for m in own}
-        player = Player(node, topics, rate=rate)
+        player = Player(node, topics, (), rate, clock=False)
         player.wait_for_subscribers(stopped)
         sys.stdout.write('ready\n')
         sys.stdout.flush()

@@ -40,9 +40,7 @@ WORLD = {**SOAK_WORLD, 'rate': RATE, 'steps_per_loop': round(LOOP * RATE), 'loop
 PERIOD = 20.0 if LOOPS > 5 else 8.0
 QUIET = 15.0
 NAMES = SOAK_WORLD['robots']
-ODOMETRY, CLOUD, POSE = (
-    'nav_msgs/msg/Odometry', 'sensor_msgs/msg/PointCloud2',
-    'geometry_msgs/msg/PoseWithCovarianceStamped')
+POSE = 'geometry_msgs/msg/PoseWithCovarianceStamped'
 MB = 2**20
 
 pytestmark = [

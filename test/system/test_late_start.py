@@ -67,7 +67,7 @@ def nees_after(late, seed, loops=2, lost=0.2):
     estimator = Estimator(team(
         *TEAM, known=[(name, starts[name], START_SIGMA) for name in TEAM[1:]],
         anchor_pose=starts['r1']))
-    check = LateStarts(estimator, recording, lambda *_: None)
+    check = LateStarts(estimator, recording, lambda *_: None, {})
     for record in recording.heard():
         if isinstance(record, TrueLandmarks):
             continue

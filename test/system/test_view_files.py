@@ -20,7 +20,7 @@ from helpers.ros import run_settings
 
 CONFIG = ROOT / 'config'
 RVIZ = YAML(typ='safe').load(
-    team_config(CONFIG / 'fej_slam.rviz', ['r1', 'r2']))['Visualization Manager']
+    team_config(CONFIG / 'fej_slam.rviz', ['r1', 'r2'], '/', 'map'))['Visualization Manager']
 LAYOUT = json.loads((CONFIG / 'foxglove_layout.json').read_text())
 PANELS = LAYOUT['configById']
 SHOWN_BY_RVIZ = {display['Name']: display for display in RVIZ['Displays']}

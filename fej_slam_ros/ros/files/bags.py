@@ -89,7 +89,7 @@ def read_with_bar(
     return messages
 
 
-def miscounted(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, tuple[int, int]]:
+def miscounted(path: Path, names: TopicNames) -> dict[str, tuple[int, int]]:
     """Return the message counts in the metadata and in the files, by topic, where they differ."""
     with _opened(path) as reader:
         recorded = _recorded(reader)

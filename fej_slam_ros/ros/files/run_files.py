@@ -78,7 +78,7 @@ class RunFiles:
     """
 
     def __init__(
-        self, folder: Path, robots: Iterable[str], force: bool | None = None,
+        self, folder: Path, robots: Iterable[str], force: bool | None,
         others: Sequence[str] = (),
     ) -> None:
         self.folder = folder

@@ -16,9 +16,7 @@ from fej_slam_ros.palette import rgb, robot_colour
 TEMPLATE_ROBOT = 'r1'
 
 
-def team_config(
-    template: Path, robots: Sequence[str], namespace: str = '/', map_frame: str = 'map',
-) -> str:
+def team_config(template: Path, robots: Sequence[str], namespace: str, map_frame: str) -> str:
     """Return an RViz configuration for a team of robots in a namespace."""
     yaml = YAML()
     config = yaml.load(template)

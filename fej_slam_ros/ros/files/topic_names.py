@@ -104,7 +104,7 @@ class TopicNames:
 RECORDED_NAMES = TopicNames()
 
 
-def topic_names(remaps: Iterable[str], namespace: str = '') -> TopicNames:
+def topic_names(remaps: Iterable[str], namespace: str) -> TopicNames:
     """Return the names that rules ``OLD:=NEW`` and a namespace give."""
     renamed: dict[str, str] = {}
     for word in remaps:

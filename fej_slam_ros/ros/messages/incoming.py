@@ -19,7 +19,6 @@ from rosbags.typesys.stores.ros2_jazzy import (
     tf2_msgs__msg__TFMessage as TFMessage)
 
 from fej_slam_ros.core.definiteness import PSD_TOLERANCE
-from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Odometry, PosePrior, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
@@ -147,7 +146,7 @@ def true_pose(message: OdometryMessage, robot: str) -> TruePose:
     return TruePose(robot, from_time(message.header.stamp), planar_pose(message.pose.pose))
 
 
-def pose_prior(message: PoseMessage, robot: str, map_frame: str = MAP) -> PosePrior:
+def pose_prior(message: PoseMessage, robot: str, map_frame: str) -> PosePrior:
     """Return an initial pose as a record; its frame must be `map_frame` or empty."""
     if message.header.frame_id.lstrip('/') not in {'', map_frame}:
         raise RejectedError(RejectionReason.WRONG_FRAME)

@@ -32,7 +32,7 @@ MIN_MARKER_RADIUS = 0.03
 
 def markers(
     stamp: int, robots: Sequence[tuple[int, PoseEstimate, Array]],
-    maps: Sequence[tuple[str, Array, Array]], map_frame: str = MAP,
+    maps: Sequence[tuple[str, Array, Array]], map_frame: str,
 ) -> MarkerArray:
     """
     Return robots with names and paths, landmarks, and the 3-sigma ellipses of both.

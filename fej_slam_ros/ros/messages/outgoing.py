@@ -170,7 +170,7 @@ def fused_odometry(
 
 def transforms(
     estimates: Iterable[PoseEstimate], odometry: Mapping[str, Array],
-    odometry_frames: Mapping[str, str], post_date: int = 0,
+    odometry_frames: Mapping[str, str], post_date: int,
 ) -> TFMessage:
     """
     Return the transform from each pose's frame to the origin of the robot's odometry frame.

@@ -44,8 +44,8 @@ class Player:
     """
 
     def __init__(
-        self, node: Node, types: Mapping[str, str], latched: Collection[str] = (),
-        rate: float = 1.0, clock: bool = False, no_wait: str = '--no-wait',
+        self, node: Node, types: Mapping[str, str], latched: Collection[str], rate: float,
+        clock: bool, no_wait: str = '--no-wait',
     ) -> None:
         self._node = node
         self._no_wait = no_wait

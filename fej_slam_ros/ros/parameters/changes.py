@@ -58,7 +58,7 @@ def rejection(
 
 
 def checked_changes(
-    settings: RunSettings, values: Mapping[str, object], audience: Audience = ESTIMATOR
+    settings: RunSettings, values: Mapping[str, object], audience: Audience
 ) -> dict[str, Any]:
     """Return new values of changeable parameters as the settings store them, if they are valid."""
     robots = [robot.name for robot in settings.estimation.robots]

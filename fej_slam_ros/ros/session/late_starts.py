@@ -115,7 +115,7 @@ class LateStarts(StartCheck):
 
     def __init__(
         self, estimator: Estimator, messages: MissedMessages, add_line: AddLine,
-        held: Mapping[str, HeldOdometry] = MappingProxyType({}),
+        held: Mapping[str, HeldOdometry],
     ) -> None:
         super().__init__(held)
         self._estimator = estimator

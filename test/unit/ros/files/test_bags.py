@@ -17,6 +17,7 @@ from ruamel.yaml import YAML
 from fej_slam_ros.core.records import fingerprint, TrueLandmarks
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.topic_names import RECORDED_NAMES
 from fej_slam_ros.ros.messages.cloud import read_cloud
 from helpers.optional import given, settings, strategies as st
 from helpers.records import odometry, robot_scan
@@ -74,7 +75,7 @@ def test_messages_of_two_types_on_one_topic_are_counted_apart(path, storage):
             for k in range(count):
                 bag.write(connection, k, b'')
 
-    assert bags.miscounted(path) == {}
+    assert bags.miscounted(path, RECORDED_NAMES) == {}
 
 
 @each_storage

@@ -46,7 +46,7 @@ def completed(files, timeout=10.0):
 
 
 def test_files_of_a_live_run_are_those_of_every_run(folder):
-    files = LiveFiles(RunFiles(folder, ['r1']))
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
     files.write(POSES)
 
     assert completed(files) == ''
@@ -59,7 +59,7 @@ def test_files_of_a_live_run_are_those_of_every_run(folder):
 
 def test_a_disk_that_takes_nothing_delays_only_the_end(folder, stuck, monkeypatch):
     monkeypatch.setattr(live_files, 'SLOW_AFTER', 0.0)
-    files = LiveFiles(RunFiles(folder, ['r1']))
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
     files.write(POSES)
 
     assert f'{folder} takes no data for' in files.error
@@ -71,7 +71,7 @@ def test_a_disk_that_takes_nothing_delays_only_the_end(folder, stuck, monkeypatc
 
 def test_poses_beyond_the_bound_are_lost_and_counted(folder, stuck, monkeypatch):
     monkeypatch.setattr(live_files, 'MAX_WAITING_POSES', 20)
-    files = LiveFiles(RunFiles(folder, ['r1']))
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
 
     files.write(POSES)
     stuck.set()
@@ -80,7 +80,7 @@ def test_poses_beyond_the_bound_are_lost_and_counted(folder, stuck, monkeypatch)
 
 
 def test_files_that_can_be_completed_are_and_the_first_error_is_told(folder):
-    files = LiveFiles(RunFiles(folder, ['r1', 'r2']))
+    files = LiveFiles(RunFiles(folder, ['r1', 'r2'], None))
     (folder / 'trajectory_r1.csv.part').unlink()
 
     error = completed(files)
@@ -92,7 +92,7 @@ def test_files_that_can_be_completed_are_and_the_first_error_is_told(folder):
 
 
 def test_a_robot_that_is_added_gets_its_files_also_when_the_disk_is_slow(folder, stuck):
-    files = LiveFiles(RunFiles(folder, ['r1']))
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
 
     files.add_robots(['r1', 'r2'])
     files.write([replace(POSES[0], robot='r2')])
@@ -103,7 +103,7 @@ def test_a_robot_that_is_added_gets_its_files_also_when_the_disk_is_slow(folder,
 
 
 def test_discarded_files_are_deleted(folder):
-    files = LiveFiles(RunFiles(folder, ['r1']))
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
 
     files.discard()
 
@@ -111,10 +111,10 @@ def test_discarded_files_are_deleted(folder):
 
 
 def test_a_second_run_in_the_same_folder_is_refused(folder):
-    files = LiveFiles(RunFiles(folder, ['r1']))
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
 
     with pytest.raises(UserError, match='is in use by process') as refused:
-        LiveFiles(RunFiles(folder, ['r2']))
+        LiveFiles(RunFiles(folder, ['r2'], None))
 
     assert not isinstance(refused.value, UsageError)
     files.discard()
@@ -125,7 +125,7 @@ def test_incomplete_files_of_a_killed_run_are_deleted_by_the_next_one(folder):
     for name in ('trajectory_r9.csv.part', 'r9.tum.part', 'summary.json.part', 'other.part'):
         (folder / name).write_text('rest')
 
-    files = LiveFiles(RunFiles(folder, ['r1']))
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
 
     assert completed(files) == ''
     assert {path.name for path in folder.glob('*.part')} == {'other.part'}

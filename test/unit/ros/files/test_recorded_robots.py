@@ -110,7 +110,7 @@ def test_a_namespace_that_no_robot_needs_is_left_out(recorded):
 def test_a_rule_that_hides_the_odometry_of_a_robot_is_left_out(recorded):
     topics = {'r1/odom': 'odometry', 'r2/odom': 'odometry'}
 
-    robots = recorded(topics, ['r1', 'r2'], topic_names(['/r1/:=/other/']))
+    robots = recorded(topics, ['r1', 'r2'], topic_names(['/r1/:=/other/'], ''))
 
     assert robots.missing == ['r1']
     assert robots.cure() == 'leave out the --remap of /r1/odom'
@@ -119,7 +119,7 @@ def test_a_rule_that_hides_the_odometry_of_a_robot_is_left_out(recorded):
 def test_proposed_options_make_every_robot_complete(recorded, tmp_path):
     cure = recorded({**HUSKY, 'r2/odom': 'odometry'}, ['r1', 'r2']).cure()
 
-    names = topic_names([word for word in cure.split() if ':=' in word])
+    names = topic_names([word for word in cure.split() if ':=' in word], '')
 
     assert bags.topics(tmp_path / 'bag', names).keys() == {'r1/odom', 'r1/landmarks', 'r2/odom'}
     assert not RecordedRobots(tmp_path / 'bag', names, ['r1', 'r2']).missing

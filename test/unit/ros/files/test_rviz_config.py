@@ -19,7 +19,7 @@ def topics(text):
 
 @pytest.mark.parametrize('robots', [[], ['left'], ['a', 'r1', 'atlas_3']])
 def test_each_robot_has_its_displays_and_no_other_robot_has(robots):
-    shown = topics(team_config(TEMPLATE, robots))
+    shown = topics(team_config(TEMPLATE, robots, '/', 'map'))
 
     kinds = '/pose', '/path', '/detection_markers'
     assert [topic for topic in shown if topic.endswith(kinds)] == [
@@ -28,20 +28,20 @@ def test_each_robot_has_its_displays_and_no_other_robot_has(robots):
 
 
 def test_all_topics_move_into_the_namespace():
-    outside = topics(team_config(TEMPLATE, ['a', 'b']))
+    outside = topics(team_config(TEMPLATE, ['a', 'b'], '/', 'map'))
 
-    assert topics(team_config(TEMPLATE, ['a', 'b'], '/fleet')) == [
+    assert topics(team_config(TEMPLATE, ['a', 'b'], '/fleet', 'map')) == [
         f'/fleet{topic}' for topic in outside]
 
 
 def test_the_fixed_frame_is_that_of_the_map():
-    config = YAML(typ='safe').load(team_config(TEMPLATE, ['a'], map_frame='world'))
+    config = YAML(typ='safe').load(team_config(TEMPLATE, ['a'], '/', 'world'))
 
     assert config['Visualization Manager']['Global Options']['Fixed Frame'] == 'world'
 
 
 def test_robots_have_different_colours():
-    config = YAML(typ='safe').load(team_config(TEMPLATE, ['a', 'b', 'c']))
+    config = YAML(typ='safe').load(team_config(TEMPLATE, ['a', 'b', 'c'], '/', 'map'))
 
     displays = config['Visualization Manager']['Displays']
     colours = [display['Color'] for display in displays if 'Path of' in display['Name']]
@@ -51,6 +51,7 @@ def test_robots_have_different_colours():
 
 def test_the_rest_is_as_in_the_template():
     config, template = (
-        YAML(typ='safe').load(text) for text in (team_config(TEMPLATE, ['r1']), TEMPLATE))
+        YAML(typ='safe').load(text)
+        for text in (team_config(TEMPLATE, ['r1'], '/', 'map'), TEMPLATE))
 
     assert config == template

@@ -124,7 +124,7 @@ def test_two_topics_of_one_name_are_reported_with_a_rule_that_keeps_them_apart()
 
     rule = sentence.rpartition('--remap ')[2]
     assert '/husky1/odometry/filtered and /r2/odom would both be /r2/odom' in sentence
-    topic_names(['/husky1/odometry/filtered:=/r2/odom', rule]).check(RECORDED, 'BAG')
+    topic_names(['/husky1/odometry/filtered:=/r2/odom', rule], '').check(RECORDED, 'BAG')
 
 
 def test_a_topic_outside_the_namespace_differs_from_one_inside_unless_it_is_played():
@@ -143,8 +143,8 @@ EXPECTED = ['r1/odom', 'r1/landmarks', 'ground_truth/landmarks']
     ('/r1/landmark', '/r1/landmarks'), ('/ground_truth/landmark', '/ground_truth/landmarks')])
 def test_a_new_name_of_a_robot_that_is_not_read_is_reported(new, nearest):
     with pytest.raises(UsageError, match=f'{new} is not read, did you mean {nearest}'):
-        topic_names([f'/tags:={new}']).check_new(EXPECTED)
+        topic_names([f'/tags:={new}'], '').check_new(EXPECTED)
 
 
 def test_new_names_that_are_read_or_of_no_robot_are_accepted():
-    topic_names(['/a:=/r1/odom', '/b:=/unused/b', '/c/:=/r1/']).check_new(EXPECTED)
+    topic_names(['/a:=/r1/odom', '/b:=/unused/b', '/c/:=/r1/'], '').check_new(EXPECTED)

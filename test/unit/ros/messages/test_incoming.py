@@ -153,7 +153,7 @@ def set_pose(block, frame='map'):
 def test_an_initial_pose_is_the_planar_part_of_its_message(frame):
     block = [[4.0, 1.0, 0.5], [1.0, 9.0, -0.5], [0.5, -0.5, 1.0]]
 
-    record = incoming.pose_prior(set_pose(block, frame), 'r1')
+    record = incoming.pose_prior(set_pose(block, frame), 'r1', 'map')
 
     assert (record.robot, record.stamp) == ('r1', 1500 * MS)
     np.testing.assert_allclose(record.pose, [1.0, 2.0, 2.0 * np.arctan2(3, 4)], rtol=1e-15)
@@ -166,7 +166,7 @@ def test_an_initial_pose_is_the_planar_part_of_its_message(frame):
     (np.diag([1.0, 1.0, 0.0]), 'map', RejectionReason.BAD_COVARIANCE),
     (np.diag([1.0, nan, 1.0]), 'map', RejectionReason.NOT_FINITE)])
 def test_an_initial_pose_must_be_in_map_and_uncertain(block, frame, reason):
-    assert refusal_of(incoming.pose_prior, set_pose(block, frame), 'r1') is reason
+    assert refusal_of(incoming.pose_prior, set_pose(block, frame), 'r1', 'map') is reason
 
 
 NUMBERS = st.floats() | st.floats(-1.0, 1.0)

@@ -23,7 +23,7 @@ def estimate(stamp=1_500_000_000, pose=(1.0, 2.0, pi / 2), frame='map', robot='r
 def picture(robots=(), maps=()):
     """Return the markers of robots (estimate, path), after the one that deletes, and of maps."""
     placed = [(k, now, np.array(way)) for k, (now, way) in enumerate(robots)]
-    return through_cdr(markers.markers(0, placed, maps)).markers[1:]
+    return through_cdr(markers.markers(0, placed, maps, 'map')).markers[1:]
 
 
 def colours_of(drawn):
@@ -40,7 +40,7 @@ MAPS = [
 
 
 def test_markers_start_with_deleteall():
-    first, *others = through_cdr(markers.markers(0, [], MAPS)).markers
+    first, *others = through_cdr(markers.markers(0, [], MAPS, 'map')).markers
 
     assert first.action == MARKER.DELETEALL
     assert {m.action for m in others} == {MARKER.ADD}

@@ -71,7 +71,7 @@ def test_topics_of_packages_that_are_not_installed_are_left_out(domain, bag, tmp
 def test_a_late_subscriber_gets_the_static_transforms_of_all_nodes(domain, node):
     # Any type will do: tf2_msgs is not on PyPI.
     sent = [raw('tf_static', odometry_message(ms), received_ms=0) for ms in (1, 2, 3)]
-    playing = player.Player(node, {'tf_static': ODOMETRY}, ['tf_static'])
+    playing = player.Player(node, {'tf_static': ODOMETRY}, ['tf_static'], 1.0, clock=False)
     playing.play(sent, process.Stop())
 
     heard = []
@@ -98,7 +98,8 @@ def test_a_recorded_clock_is_the_only_one(domain, tmp_path):
 
 
 def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):
-    waiting = player.Player(node, {f'{name}/odom': ODOMETRY for name in ('r1', 'r2')})
+    topics = {f'{name}/odom': ODOMETRY for name in ('r1', 'r2')}
+    waiting = player.Player(node, topics, (), 1.0, clock=False)
     domain.listen('r1/odom', ODOMETRY)
     ticks = count()
 
@@ -116,7 +117,7 @@ def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):
 def test_a_topic_without_subscriber_is_named_with_the_way_to_begin_without(
         node, monkeypatch, capfd):
     monkeypatch.setattr(player, 'REMINDER_PERIOD', 0.0)
-    waiting = player.Player(node, {'imu': ODOMETRY})
+    waiting = player.Player(node, {'imu': ODOMETRY}, (), 1.0, clock=False)
     stopped = process.Stop()
     node.create_timer(0.1, stopped.set)
     waiting.wait_for_subscribers(stopped)
@@ -127,7 +128,7 @@ def test_a_topic_without_subscriber_is_named_with_the_way_to_begin_without(
 
 def test_the_node_spins_even_if_playback_is_too_slow_to_wait(node):
     message = raw('r1/odom', odometry_message(), received_ms=0)
-    playing = player.Player(node, {'r1/odom': message.type_name})
+    playing = player.Player(node, {'r1/odom': message.type_name}, (), 1.0, clock=False)
     ticks, began = [], monotonic()
     node.create_timer(0.01, lambda: ticks.append(monotonic()))
 
@@ -163,7 +164,7 @@ def test_playing_takes_the_length_of_the_bag_divided_by_the_rate(node):
     topics = {'r1/odom': messages[0].type_name}
 
     began = monotonic()
-    player.Player(node, topics, rate=100.0).play(messages, process.Stop())
+    player.Player(node, topics, (), 100.0, clock=False).play(messages, process.Stop())
 
     assert 0.2 <= monotonic() - began < 20.0
 
@@ -172,7 +173,7 @@ def test_the_clock_goes_on_between_messages_and_ends_at_the_last(domain, node):
     messages = [raw('r1/odom', odometry_message(), received_ms=ms) for ms in (1000, 2000)]
     topics = {'r1/odom': messages[0].type_name}
     ticks = domain.listen('/clock', CLOCK)
-    playing = player.Player(node, topics, rate=4.0, clock=True)
+    playing = player.Player(node, topics, (), 4.0, clock=True)
     domain.until(lambda: domain.node.count_publishers('/clock'))
 
     playing.play(messages, process.Stop())

@@ -6,7 +6,7 @@ import pytest
 
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
-    changeable_parameters, checked_changes, parse, rejection, SMOOTHER, with_values)
+    changeable_parameters, checked_changes, ESTIMATOR, parse, rejection, SMOOTHER, with_values)
 
 TEAM = ['r1', 'r2']
 SETTINGS = parse({'robots': TEAM, 'r2.landmark_noise_scale': 3.0})
@@ -17,16 +17,11 @@ def noise_scales(settings):
     return settings.landmark_noise_scale, *(r.landmark_noise_scale for r in settings.robots)
 
 
-def test_noise_of_the_team_is_that_of_the_robots_that_had_it():
-    changed = with_values(SETTINGS.estimation, [('landmark_noise_scale', 2.0)])
-
-    assert noise_scales(changed) == (2.0, 2.0, 3.0)
-
-
-def test_noise_of_a_robot_is_its_own():
-    changed = with_values(SETTINGS.estimation, [('r1.landmark_noise_scale', 2.0)])
-
-    assert noise_scales(changed) == (1.0, 2.0, 3.0)
+@pytest.mark.parametrize(('name', 'scales'), [
+    ('landmark_noise_scale', (2.0, 2.0, 3.0)), ('r1.landmark_noise_scale', (1.0, 2.0, 3.0))])
+def test_noise_of_the_team_is_that_of_the_robots_that_had_it_and_that_of_a_robot_its_own(
+        name, scales):
+    assert noise_scales(with_values(SETTINGS.estimation, [(name, 2.0)])) == scales
 
 
 def test_what_the_estimate_is_built_on_does_not_change():
@@ -49,7 +44,7 @@ def test_an_old_name_is_answered_with_the_new_one():
 
 def test_values_are_checked_together_before_any_is_used():
     with pytest.raises(UsageError, match="'gate_probability' must be a number above 0"):
-        checked_changes(SETTINGS, {'map_period': 2.0, 'gate_probability': -1.0})
+        checked_changes(SETTINGS, {'map_period': 2.0, 'gate_probability': -1.0}, ESTIMATOR)
 
 
 def test_a_smoother_with_peers_takes_no_period_of_checkpoints_with_which_it_could_not_start():

@@ -47,7 +47,7 @@ class LiveRun:
     def __init__(self, *names, messages, prior=None, **options):
         self.estimator = Estimator(team(*names, **options), prior)
         self.messages, self.log = messages, Lines()
-        self.check = LateStarts(self.estimator, messages, self.log.add)
+        self.check = LateStarts(self.estimator, messages, self.log.add, {})
 
     def odom(self, robot, ms, pose):
         """Add odometry, and return how many messages are passed on."""
@@ -111,7 +111,7 @@ def test_a_robot_whose_first_odometry_a_checkpoint_has_starts_at_its_start_pose(
     run.odom('r2', 0, (0.0, 0.0, 0.0))
 
     # Restored before r1 has sent anything, so that no step was processed.
-    run.check = LateStarts(run.estimator, Messages(r1=0, r2=6), run.log.add)
+    run.check = LateStarts(run.estimator, Messages(r1=0, r2=6), run.log.add, {})
     for ms, x in ((100, 0.1), (200, 0.2)):
         run.odom('r2', ms, (x, 0.0, 0.0))
     run.odom('r1', 0, (0.0, 0.0, 0.0))
