@@ -3,8 +3,7 @@
 """Robots in a bag by message types, and the options that give their topics the expected names."""
 
 from collections import defaultdict
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
@@ -12,7 +11,7 @@ import re
 
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.messages import deserialize
+from fej_slam_ros.ros.messages import decoded_as
 from fej_slam_ros.ros.parameters import RESERVED_NAMES
 from fej_slam_ros.ros.topic_types import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 
@@ -73,7 +72,7 @@ class RecordedRobots:
         self._groups: defaultdict[str, RobotTopics] = defaultdict(RobotTopics)
         for topic in self._unused(ODOMETRY):
             self._groups[self._group_name(topic)].odometry.append(topic)
-        for topic in sorted(_with_observations(bag, {*self._unused(CLOUD)})):
+        for topic in sorted(_with_observations(bag, self._unused(CLOUD))):
             self._groups[self._group_name(topic)].observations.append(topic)
         for topic in self._unused(ODOMETRY, is_truth=True):
             self._groups[self._group_name(topic)].truth.append(topic)
@@ -210,17 +209,14 @@ def _is_robot(name: str) -> bool:
     return ROBOT_NAME.fullmatch(name) is not None and name not in RESERVED_NAMES
 
 
-def _with_observations(bag: Path, clouds: Collection[str]) -> set[str]:
+def _with_observations(bag: Path, clouds: Iterable[str]) -> set[str]:
     """Return the clouds whose first points have the fields of observations."""
     found, remaining = set(), {*clouds}
     for message in bags.read(bag) if remaining else ():
         if message.topic not in remaining:
             continue
-        fields: set[str] = set()
-        # The deserialiser raises errors of many types for a truncated message.
-        with suppress(Exception):
-            cloud = deserialize(message.raw, message.type_name)
-            fields = {point_field.name for point_field in cloud.fields}
+        cloud = decoded_as(message, CLOUD)
+        fields = set() if cloud is None else {point_field.name for point_field in cloud.fields}
         if fields:
             remaining.discard(message.topic)
         if fields >= OBSERVATION_FIELDS:
