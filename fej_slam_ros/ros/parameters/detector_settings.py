@@ -18,7 +18,7 @@ from fej_slam_ros.ros.messages.laser import MAX_DURATION
 from fej_slam_ros.ros.parameters.schema import full_names
 from fej_slam_ros.ros.parameters.values import (
     by_owner, given_values, robot_names, Warn, warn_once)
-from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values
+from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values, warn_with_path
 
 RADIUS = numbers('a number', Range(0.001, 10.0))
 RANGE_SIGMA = numbers('a number', Range(1e-4, 10.0))
@@ -116,13 +116,11 @@ def load_detector(path: Path) -> DetectorSettings:
 
 def detector_in(path: Path | None, robots: Sequence[str]) -> DetectorSettings:
     """Return the settings for the detector of some robots in a file for other nodes too."""
-    def warn_with_path(text: str) -> None:
-        warn_once(f'{path}: {text}')
-
+    warn = warn_with_path(path)
     try:
-        values = {} if path is None else load_values(path, ['detector'], warn_with_path)
+        values = {} if path is None else load_values(path, ['detector'], warn)
     except UsageError:
         values = {}
     known = known_parameters(robots)
     given = {name: value for name, value in values.items() if name in known}
-    return parse_detector({**given, 'robots': [*robots]}, warn_with_path)
+    return parse_detector({**given, 'robots': [*robots]}, warn)

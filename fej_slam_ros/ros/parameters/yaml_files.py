@@ -29,23 +29,25 @@ PLACE = 'put them under /**: and ros__parameters:'
 T = TypeVar('T')
 
 
-def load(path: Path, nodes: Sequence[str] = ('estimator',), warn: Warn = warn_once) -> RunSettings:
+def load(path: Path, nodes: Sequence[str] = ('estimator',)) -> RunSettings:
     """Return the settings in a ROS parameter file for nodes without namespace."""
-    return load_parsed(path, nodes, parse, warn)
+    return load_parsed(path, nodes, parse)
 
 
 def load_parsed(
-    path: Path, nodes: Sequence[str], parse_values: Callable[[Mapping[str, object], Warn], T],
-    warn: Warn = warn_once,
+    path: Path, nodes: Sequence[str], parse_values: Callable[[Mapping[str, object], Warn], T]
 ) -> T:
     """Return settings parsed from a file; a UsageError and each warning begin with its path."""
-    def warn_with_path(text: str) -> None:
-        warn(f'{path}: {text}')
-
+    warn = warn_with_path(path)
     try:
-        return parse_values(load_values(path, nodes, warn_with_path), warn_with_path)
+        return parse_values(load_values(path, nodes, warn), warn)
     except UsageError as error:
         raise UsageError(f'{path}: {error}') from error
+
+
+def warn_with_path(path: Path | None) -> Warn:
+    """Return what writes a warning about a file."""
+    return lambda text: warn_once(f'{path}: {text}')
 
 
 def load_values(
