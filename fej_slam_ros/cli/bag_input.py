@@ -25,8 +25,8 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
     team = [robot.name for robot in settings.robots]
     names.check_new(expected_topics(team))
     topics = bags.topics(bag, names)
-    with_messages = {name for name, topic in topics.items() if topic.messages}
-    absent = [f'{robot}/odom' for robot in team if f'{robot}/odom' not in with_messages]
+    types = {name: topic.type_name for name, topic in topics.items() if topic.messages}
+    absent = [f'{robot}/odom' for robot in team if f'{robot}/odom' not in types]
     if absent:
         recorded = RecordedRobots(bag, names, team)
         found = f'it has {recorded.found()}: {recorded.cure()}'
@@ -36,7 +36,7 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
                 f'{bag} has messages on none of the topics {", ".join(absent)}, {found}'
                 + (f', or name its robots ({others}) in the parameter robots' if others else ''))
         logging.getLogger(__name__).warning('%s has no %s, %s', bag, ', '.join(absent), found)
-    _check_types(bag, team, topics)
+    _check_types(bag, team, types)
     for robot in team:
         computed = front_end_topics.cure(topics, robot)
         if computed and f'{robot}/landmarks' not in topics:
@@ -45,17 +45,14 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
     return bags.read_with_bar(bag, names, topics)
 
 
-def _check_types(
-    bag: Path, team: Iterable[str], topics: Mapping[str, bags.BagTopic]
-) -> None:
+def _check_types(bag: Path, team: Iterable[str], types: Mapping[str, str]) -> None:
     """Name the input topics of a team with messages of another type; some odometry is needed."""
-    with_messages = {name: topics[name].type_name for name in topics if topics[name].messages}
     faults = {
-        name: f'{bag} has {name} of the type {with_messages[name]}, which is not used: record'
+        name: f'{bag} has {name} of the type {types[name]}, which is not used: record'
         f' {expected} on it, or give the topic that has it with --remap'
         for name, expected in expected_topics(team).items()
-        if with_messages.get(name, expected) != expected}
-    odometry = [f'{robot}/odom' for robot in team if f'{robot}/odom' in with_messages]
+        if types.get(name, expected) != expected}
+    odometry = [f'{robot}/odom' for robot in team if f'{robot}/odom' in types]
     if faults.keys() >= {*odometry}:
         raise UserError(faults[odometry[0]])
     for fault in faults.values():

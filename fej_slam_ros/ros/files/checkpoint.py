@@ -13,6 +13,7 @@ is refused with a UserError.
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from functools import partial
 from hashlib import sha256
 import json
@@ -58,7 +59,7 @@ def content_of(
     return _sealed({
         'settings': _deciding(settings.estimation, prior),
         'given': _deciding(settings.given(), prior), 'inputs': inputs,
-        'changes': [change.as_json() for change in changes],
+        'changes': [*map(asdict, changes)],
         ESTIMATOR_KEY: core.snapshot(estimator)})
 
 

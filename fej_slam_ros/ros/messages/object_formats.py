@@ -224,10 +224,8 @@ def _landmark(entry: Message) -> SensedObject:
         RejectionReason.BAD_COVARIANCE if not 0.0 < weight < math.inf else
         RejectionReason.OUT_OF_RANGE
         if not 1.0 / MAX_VARIANCE <= weight <= 1.0 / MIN_VARIANCE else None)
-    if fault is not None:
-        return SensedObject(entry.id, pose.position, pose.orientation, fault=fault)
-    P = None if weight >= MIN_COST_WEIGHT else np.eye(3) / weight
-    return SensedObject(entry.id, pose.position, pose.orientation, P)
+    P = None if fault is not None or weight >= MIN_COST_WEIGHT else np.eye(3) / weight
+    return SensedObject(entry.id, pose.position, pose.orientation, P, fault)
 
 
 def _polar(observed: Message, sigma: tuple[float, float, float]) -> SensedObject:

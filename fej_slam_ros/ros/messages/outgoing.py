@@ -97,8 +97,7 @@ def moving(message: OdometryMessage, velocity: Array) -> OdometryMessage:
 
 def true_pose(record: TruePose) -> OdometryMessage:
     """Return the ground truth of a pose, in the frame ``map``."""
-    child = f'{record.robot}/base_link'
-    return _odometry(record.stamp, MAP, child, record.pose, np.zeros(36))
+    return _odometry(record.stamp, MAP, f'{record.robot}/base_link', record.pose, np.zeros(36))
 
 
 def gps_fix(record: GpsFix) -> OdometryMessage:

@@ -3,7 +3,7 @@
 """Changes of parameters during a run."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import reduce
 from itertools import chain, count
 from typing import Any
@@ -27,10 +27,6 @@ class ParameterChange:
     before: Value
     after: Value
     last_step_ns: int | None  #: stamp of the newest step before the change, None if there is none
-
-    def as_json(self) -> dict[str, Any]:
-        """Return the change as plain data, for ``summary.json`` and checkpoints."""
-        return asdict(self)
 
 
 def changeable_parameters(robots: Sequence[str], audience: Audience = ESTIMATOR) -> set[str]:

@@ -69,10 +69,9 @@ class AdapterCounts:
                 number)
         for name, of_robot in counts.items():
             if name != UNKNOWN_ROBOT or of_robot.total() > of_robot['ignored']:
-                values = {**of_robot, 'waiting': of_robot['waiting']}
-                rejected = self._frames.rejected.total()
                 yield name, self._warning(name, of_robot), {
-                    **values, 'transforms_rejected': rejected}
+                    **of_robot, 'waiting': of_robot['waiting'],
+                    'transforms_rejected': self._frames.rejected.total()}
 
     def _reported(self, origin: Origin) -> str:
         return self._queue.owner(origin) or UNKNOWN_ROBOT

@@ -259,8 +259,7 @@ class AdapterSession:
 
     def _carrier(self, name: str) -> str:
         """Return the robot that carries a tag, listed by name or number, '' if none does."""
-        number = number_of(name)
-        return self._carriers.get(name) or self._carriers.get(str(number), '')
+        return self._carriers.get(name) or self._carriers.get(str(number_of(name)), '')
 
     def _valid(
         self, robot: str, observations: list[tuple[int, str, PlanarObservation]]

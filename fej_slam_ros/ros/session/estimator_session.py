@@ -3,7 +3,7 @@
 """One run of the estimator, live or from a bag: messages in, publications and files out."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -86,7 +86,7 @@ class EstimatorSession(Session):
         content = {
             'state_hash': self.state_hash(),
             **estimator_summary(self.estimator, self.inputs.unused, self.settings),
-            'parameter_changes': [change.as_json() for change in self.changes], **self.source}
+            'parameter_changes': [*map(asdict, self.changes)], **self.source}
         if self._files is not None:
             shared_ids = self.settings.estimation.shared_landmark_ids
             self._files.complete(
