@@ -8,7 +8,7 @@ from typing import BinaryIO, TYPE_CHECKING
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.evaluation.run_result import RunResult
+from fej_slam_ros.evaluation.run_result import EstimatedTrajectory, LandmarkMap, RunResult
 from fej_slam_ros.palette import robot_colour
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def draw_run(
     """
     from matplotlib.figure import Figure
 
-    from fej_slam_ros.experiments.common.drawing import draw_ellipses, TRUTH_COLOUR
+    from fej_slam_ros.experiments.common.drawing import TRUTH_COLOUR
     from fej_slam_ros.figure_files import save
 
     trajectories = {name: result.trajectories[name] for name in robots}
@@ -44,14 +44,7 @@ def draw_run(
     true_points = np.array([*true_landmarks]).reshape(-1, 2)
     if len(true_points):
         axes.plot(*true_points.T, '+', markersize=7, color=TRUTH_COLOUR, label='true landmark')
-    for index, (name, trajectory) in enumerate(trajectories.items()):
-        x, colour = trajectory.poses, robot_colour(index)
-        axes.plot(x[:, 0], x[:, 1], color=colour, linewidth=1.2, label=f'{name}, estimated')
-        stride = max(1, len(x) // MAX_ELLIPSES)
-        draw_ellipses(axes, x[::stride], trajectory.P[::stride], colour, ELLIPSE_SIGMAS)
-    axes.plot(
-        *result.landmarks.points.T, '^', markersize=3, color='black', label='landmark, estimated')
-    draw_ellipses(axes, result.landmarks.points, result.landmarks.P, 'black', ELLIPSE_SIGMAS)
+    _draw_estimates(axes, trajectories, result.landmarks)
     axes.plot(
         [], [], 'o', fillstyle='none', color=TRUTH_COLOUR, markersize=9, label='3-sigma ellipse')
     for x in true_poses.values():
@@ -68,6 +61,21 @@ def draw_run(
     axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal', anchor='S')
     axes.grid(alpha=0.25)
     save(file, figure, axes, 3)
+
+
+def _draw_estimates(
+    axes: 'Axes', trajectories: Mapping[str, EstimatedTrajectory], landmarks: LandmarkMap
+) -> None:
+    """Draw trajectories and landmarks with their ellipses."""
+    from fej_slam_ros.experiments.common.drawing import draw_ellipses
+
+    for index, (name, trajectory) in enumerate(trajectories.items()):
+        x, colour = trajectory.poses, robot_colour(index)
+        axes.plot(x[:, 0], x[:, 1], color=colour, linewidth=1.2, label=f'{name}, estimated')
+        stride = max(1, len(x) // MAX_ELLIPSES)
+        draw_ellipses(axes, x[::stride], trajectory.P[::stride], colour, ELLIPSE_SIGMAS)
+    axes.plot(*landmarks.points.T, '^', markersize=3, color='black', label='landmark, estimated')
+    draw_ellipses(axes, landmarks.points, landmarks.P, 'black', ELLIPSE_SIGMAS)
 
 
 def _draw_start(axes: 'Axes', name: str, pose: Array) -> None:
