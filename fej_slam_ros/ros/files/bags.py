@@ -220,8 +220,10 @@ def _writing(path: Path) -> Iterator[None]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Reader]:
+    metadata = path / damaged_bags.METADATA
     try:
-        _check_metadata(path)
+        if metadata.is_file():
+            read_bounded(metadata, MAX_METADATA, is_nested=True)
         with Reader(path) as reader:
             damage = next(damaged_bags.unnoticed(path, reader), None)
             if damage is not None:
@@ -241,12 +243,6 @@ def _recorded(reader: Reader) -> Counter[tuple[str, str]]:
         for connection in storage.connections:
             recorded[connection.topic, connection.msgtype] += connection.msgcount
     return recorded
-
-
-def _check_metadata(path: Path) -> None:
-    metadata = path / damaged_bags.METADATA
-    if metadata.is_file():
-        read_bounded(metadata, MAX_METADATA, is_nested=True)
 
 
 def _is_known(connection: Connection) -> bool:

@@ -98,16 +98,16 @@ class RecordedRobots:
         options = [o for robot in robots or self.missing for o in self._options(robot)]
         if options:
             return f'add {" ".join(options)}'
-        for topic in self._unused(ODOMETRY):
-            if '/' not in topic and len(self.missing) > 1:
-                return (
-                    'start the drivers of each robot in its namespace'
-                    f' (-r __ns:=/{self.missing[0]}), as /{topic} is of one robot, or of several'
-                    ' that are mixed up')
+        topic = next(self._unused(ODOMETRY), None)
+        if topic is None:
+            return f'record {ODOMETRY} on {", ".join(wanted)}, or name its topic with --remap'
+        if '/' not in topic and len(self.missing) > 1:
             return (
-                'choose the topics of each robot with --remap, for example'
-                f' --remap /{topic}:=/{[*robots, *self.missing][0]}/odom')
-        return f'record {ODOMETRY} on {", ".join(wanted)}, or name its topic with --remap'
+                f'start the drivers of each robot in its namespace (-r __ns:=/{self.missing[0]}),'
+                f' as /{topic} is of one robot, or of several that are mixed up')
+        return (
+            'choose the topics of each robot with --remap, for example'
+            f' --remap /{topic}:=/{[*robots, *self.missing][0]}/odom')
 
     def recorded_names(self) -> dict[str, str]:
         """Return the recorded name of each robot: the first part of its odometry topic."""

@@ -90,21 +90,20 @@ def planar_pose(pose: Pose) -> Array:
     p, q = pose.position, pose.orientation
     x, y, z, w = quaternion = q.x, q.y, q.z, q.w
     norm = x * x + y * y + z * z + w * w
-    if (x == 0.0 == y and abs(norm - 1.0) <= NORM_TOLERANCE
+    if not (x == 0.0 == y and abs(norm - 1.0) <= NORM_TOLERANCE
             and -MAX_COORDINATE <= p.x <= MAX_COORDINATE
             and -MAX_COORDINATE <= p.y <= MAX_COORDINATE
             and -MAX_COORDINATE <= p.z <= MAX_COORDINATE):
-        return np.array([p.x, p.y, from_quaternion(*quaternion)])
-    position = p.x, p.y, p.z
-    if not all(map(math.isfinite, (*position, *quaternion))):
-        raise RejectedError(RejectionReason.NOT_FINITE)
-    if max(map(abs, position)) > MAX_COORDINATE:
-        raise RejectedError(RejectionReason.OUT_OF_RANGE)
-    if abs(norm - 1.0) > NORM_TOLERANCE:
-        raise RejectedError(RejectionReason.BAD_QUATERNION)
-    if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
-        raise RejectedError(RejectionReason.TILTED)
-    return np.array([p.x, p.y, from_quaternion(*quaternion)], dtype=float)
+        position = p.x, p.y, p.z
+        if not all(map(math.isfinite, (*position, *quaternion))):
+            raise RejectedError(RejectionReason.NOT_FINITE)
+        if max(map(abs, position)) > MAX_COORDINATE:
+            raise RejectedError(RejectionReason.OUT_OF_RANGE)
+        if abs(norm - 1.0) > NORM_TOLERANCE:
+            raise RejectedError(RejectionReason.BAD_QUATERNION)
+        if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
+            raise RejectedError(RejectionReason.TILTED)
+    return np.array([p.x, p.y, from_quaternion(*quaternion)])
 
 
 def planar_mount(pose: Array) -> tuple[float, float, float]:

@@ -37,8 +37,8 @@ class FirstMessages:
                 namespace=self._node.get_namespace(), context=self._node.context,
                 use_global_arguments=False, start_parameter_services=False, enable_rosout=False)
         probe = self._hidden.create_subscription(
-            subscription.msg_type, subscription.topic_name, _ignore, subscription.qos_profile,
-            raw=True)
+            subscription.msg_type, subscription.topic_name, lambda _raw: None,
+            subscription.qos_profile, raw=True)
         self._watched[topic] = probe, []
 
     def add(self, topic: str, raw: bytes) -> None:
@@ -76,7 +76,3 @@ class FirstMessages:
         if self._hidden is not None:
             self._hidden.destroy_node()
             self._hidden = None
-
-
-def _ignore(_raw: bytes) -> None:
-    """Stand in for a callback: the messages are polled."""

@@ -63,11 +63,6 @@ def _serve(node: 'FrontEndNode', executor: Executor) -> None:
     node.work()
 
 
-def _full_name(topic: str) -> str:
-    """Return the name of an input; transforms for the whole team are outside of the namespace."""
-    return topic if '/' in topic else f'/{topic}'
-
-
 class FrontEndNode(ParameterNode):
     """
     A node that publishes the results of its front end; its parameters are read-only.
@@ -107,8 +102,10 @@ class FrontEndNode(ParameterNode):
         self._outputs = {
             topic: self.create_publisher(message_class(type_name), topic, front_end_qos(topic))
             for topic, type_name in front_end.outputs.items()}
+        # Transforms for the whole team are outside of the namespace.
         inputs = {
-            _full_name(topic): (topic, type_name) for topic, type_name in front_end.topics.items()
+            topic if '/' in topic else f'/{topic}': (topic, type_name)
+            for topic, type_name in front_end.topics.items()
             if type_name != TF_TYPE or is_installed(TF_TYPE)}
         for name, (topic, type_name) in inputs.items():
             self._subscribe(name, topic, type_name)
