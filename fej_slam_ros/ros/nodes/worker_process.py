@@ -94,8 +94,8 @@ class Worker:
     _is_listening: bool  # whether the process is ready for tasks
 
     def __init__(self) -> None:
-        # The task in progress, if there is one.
-        self._tasks: list[tuple[Callable[[Any], Any], Any]] = []
+        # The function and the argument of the task in progress, None without any.
+        self._task: tuple[Callable[[Any], Any], Any] | None = None
         self._unsuccessful = self._failures = self.deaths = 0
         self._restart_time = 0.0
         self.fault = ''
@@ -104,11 +104,11 @@ class Worker:
     @property
     def is_ready(self) -> bool:
         """Return whether the process can begin a task."""
-        return self._is_listening and not self._tasks
+        return self._is_listening and self._task is None
 
     def begin(self, function: Callable[[Any], Any], argument: Any) -> None:
         """Begin to call a function; no other task may be in progress."""
-        self._tasks, self._failures = [(function, argument)], 0
+        self._task, self._failures = (function, argument), 0
         if self._is_listening:
             self._send_task()
 
@@ -137,8 +137,7 @@ class Worker:
         if isinstance(result, FailedTask):
             return self._repeat_or_give_up(result.reason)
         if self._is_listening:
-            self._tasks.clear()
-            self._unsuccessful, self.fault = 0, ''
+            self._task, self._unsuccessful, self.fault = None, 0, ''
             return result
         self._is_listening = True
         self._send_task()
@@ -174,9 +173,9 @@ class Worker:
         self._request = Request(self._pipe)
 
     def _send_task(self) -> None:
-        for task in self._tasks:
+        if self._task is not None:
             self._seen_working = monotonic()
-            self._request = Request(self._pipe, ForkingPickler.dumps(task))
+            self._request = Request(self._pipe, ForkingPickler.dumps(self._task))
 
     def _is_hung(self) -> bool:
         """Return whether the process lives, but has used no processor time for long."""
@@ -194,10 +193,9 @@ class Worker:
         if self._failures < MAX_FAILURES:
             self._replace(death)
             return None
-        (_, argument), = self._tasks
-        self._tasks.clear()
+        task, self._task = self._task, None
         self._replace(death, 'the task is given up, another process starts')
-        return FailedTask(reason, argument)
+        return FailedTask(reason, task and task[1])
 
     def _replace(self, death: str, what_follows: str = 'another one repeats the task') -> None:
         """Start another process; `death` is how this one ended, in words."""
