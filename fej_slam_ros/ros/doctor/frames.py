@@ -18,9 +18,7 @@ from fej_slam_ros.ros.doctor.survey import Survey
 FramesByRobot = Mapping[str, Counter[str]]
 
 
-def check(
-    survey: Survey, recorded_names: Mapping[str, str], share_tf: bool = True
-) -> Iterator[Finding]:
+def check(survey: Survey, recorded_names: Mapping[str, str], share_tf: bool) -> Iterator[Finding]:
     """
     Yield wrong frames of odometry and ground truth; the estimator checks those of scans.
 

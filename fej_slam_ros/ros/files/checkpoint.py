@@ -101,7 +101,7 @@ def refusing_malformed(path: Path) -> Iterator[None]:
 
 
 def load(
-    path: Path, settings: RunSettings, prior: PriorMap | None = None
+    path: Path, settings: RunSettings, prior: PriorMap | None
 ) -> tuple[RunSettings, Estimator, Values, list[ParameterChange]]:
     """
     Return the settings of a saved run, its estimator and inputs, and its changes of parameters.

@@ -70,9 +70,7 @@ class ScanFaultError(Exception):
         self.fault = fault
 
 
-def laser_scan(
-    message: LaserScanMessage, duration: float = 0.0
-) -> tuple[int, LaserScan]:
+def laser_scan(message: LaserScanMessage, duration: float) -> tuple[int, LaserScan]:
     """
     Return the stamp [ns] and the content of a message.
 

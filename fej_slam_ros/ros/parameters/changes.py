@@ -29,7 +29,7 @@ class ParameterChange:
     last_step_ns: int | None  #: stamp of the newest step before the change, None if there is none
 
 
-def changeable_parameters(robots: Sequence[str], audience: Audience = ESTIMATOR) -> set[str]:
+def changeable_parameters(robots: Sequence[str], audience: Audience) -> set[str]:
     """Return the parameters of a team that can change while a node of the audience runs."""
     # The smoother reads the other parameters of estimation when a run begins.
     of_smoother = {'robots', 'peers', *parameters_of(CommonNodeSettings)}

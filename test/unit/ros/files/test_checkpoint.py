@@ -53,7 +53,7 @@ def interrupted(path, messages, **changes):
 def rejected(path, **changes):
     """Return the error message for a checkpoint that is refused."""
     with pytest.raises(UserError) as caught:
-        checkpoint.load(path, run_settings(**changes))
+        checkpoint.load(path, run_settings(**changes), None)
     return str(caught.value)
 
 
@@ -338,7 +338,7 @@ def test_a_crafted_file_is_refused_or_loaded_and_runs_no_code(path, number):
     stored, rng, events = json.loads(text), np.random.default_rng(number), []
     spots = [spot for spot in places(stored['estimator']) if spot]
     settings = run_settings()
-    checkpoint.load(path, settings)
+    checkpoint.load(path, settings, None)
     watching = [False]
 
     def watch(event, arguments):
@@ -352,7 +352,7 @@ def test_a_crafted_file_is_refused_or_loaded_and_runs_no_code(path, number):
         write_sealed(path, title, json.dumps({**stored, 'estimator': hostile}).encode(), arrays)
         watching[0] = True
         try:
-            checkpoint.load(path, settings)
+            checkpoint.load(path, settings, None)
         except UserError as error:
             assert_one_line(str(error))
         finally:
@@ -422,7 +422,7 @@ def test_settings_that_do_not_affect_the_result_may_differ(path):
     interrupted(path, MESSAGES[:12])
 
     settings = run_settings(output='elsewhere', unused_variance=1.0)
-    _, estimator, *_ = checkpoint.load(path, settings)
+    _, estimator, *_ = checkpoint.load(path, settings, None)
 
     assert estimator.settings == settings.estimation
 
@@ -486,7 +486,7 @@ def test_the_changed_parameters_of_a_second_run_restore_it_too_and_others_do_not
     saved = second_run(path, EstimatorSession)
     save(saved)
 
-    settings, *_ = checkpoint.load(path, saved.settings)
+    settings, *_ = checkpoint.load(path, saved.settings, None)
 
     assert settings == saved.settings
     assert 'was made with max_delay = 0.1, not 0.3: ' in rejected(path, max_delay=0.3)
@@ -514,7 +514,7 @@ def test_a_later_checkpoint_replaces_the_earlier_one(path):
     interrupted(path, MESSAGES[:5])
     later = interrupted(path, MESSAGES[:12])
 
-    _, estimator, *_ = checkpoint.load(path, run_settings())
+    _, estimator, *_ = checkpoint.load(path, run_settings(), None)
 
     assert estimator.state_hash() == later.estimator.state_hash()
     assert [*path.parent.iterdir()] == [path]

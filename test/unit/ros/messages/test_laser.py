@@ -21,7 +21,7 @@ def test_a_scan_survives_the_round_trip_through_a_message():
     with_intensities = replace(SCAN, intensities=np.arange(90.0))
     sent = outgoing.laser_scan(RobotLaserScan('r1', 1_500_000_000, with_intensities))
 
-    stamp, scan = laser_scan(through_cdr(sent))
+    stamp, scan = laser_scan(through_cdr(sent), 0.0)
 
     assert stamp == 1_500_000_000
     # Fields of LaserScan are in float32.
@@ -60,7 +60,7 @@ def test_a_scan_survives_the_round_trip_through_a_message():
 )
 def test_a_bad_scan_is_rejected_for_its_fault(changes, fault):
     with pytest.raises(ScanFaultError) as error:
-        laser_scan(replace(GOOD, **changes))
+        laser_scan(replace(GOOD, **changes), 0.0)
 
     assert error.value.fault is fault
 
@@ -72,14 +72,14 @@ def test_a_stamp_is_a_minute_before_the_last_one_that_a_message_can_carry(sec, n
     message = replace(GOOD, header=replace(GOOD.header, stamp=stamp))
 
     if accepted:
-        assert laser_scan(message)[0] == sec * 10**9 + nanosec
+        assert laser_scan(message, 0.0)[0] == sec * 10**9 + nanosec
     else:
         with pytest.raises(ScanFaultError, match='bad_stamp'):
-            laser_scan(message)
+            laser_scan(message, 0.0)
 
 
 def test_intensities_of_another_number_than_the_ranges_are_none():
-    _, scan = laser_scan(replace(GOOD, intensities=np.ones(3, np.float32)))
+    _, scan = laser_scan(replace(GOOD, intensities=np.ones(3, np.float32)), 0.0)
 
     assert scan.intensities is None
 
@@ -89,7 +89,7 @@ def test_a_clockwise_laser_is_accepted():
         GOOD, angle_min=GOOD.angle_max, angle_max=GOOD.angle_min,
         angle_increment=-GOOD.angle_increment)
 
-    assert laser_scan(turned)[1].angle_increment < 0.0
+    assert laser_scan(turned, 0.0)[1].angle_increment < 0.0
 
 
 @pytest.mark.parametrize('beams', [12, 360, MAX_BEAMS])
@@ -98,7 +98,7 @@ def test_an_angle_max_of_one_beam_more_than_the_scan_has_is_accepted(beams):
 
     _, scan = laser_scan(replace(
         GOOD, ranges=np.ones(beams, np.float32), angle_min=0.0, angle_max=2.0 * np.pi,
-        angle_increment=step, time_increment=0.0))
+        angle_increment=step, time_increment=0.0), 0.0)
 
     assert len(scan.ranges) == beams
 
@@ -115,6 +115,6 @@ def test_a_range_that_is_a_signaling_nan_is_no_number_and_gives_no_warning():
     ranges = GOOD.ranges.copy()
     ranges.view(np.uint32)[3] = 0x7F800001
 
-    _, scan = laser_scan(replace(GOOD, ranges=ranges))
+    _, scan = laser_scan(replace(GOOD, ranges=ranges), 0.0)
 
     assert np.flatnonzero(np.isnan(scan.ranges)).tolist() == [3]

@@ -28,7 +28,7 @@ def test_what_the_estimate_is_built_on_does_not_change():
     fixed = {'filter', 'anchor', 'anchor_pose', 'start_covariance', 'shared_landmark_ids',
              'compressed', 'r1.id', 'r1.start_pose', 'r1.sensor_pose', 'prior_landmarks', 'output'}
 
-    assert not fixed & changeable_parameters(TEAM)
+    assert not fixed & changeable_parameters(TEAM, ESTIMATOR)
 
 
 def test_of_estimation_the_smoother_changes_the_team_only():
