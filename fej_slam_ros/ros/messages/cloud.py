@@ -5,7 +5,7 @@
 from collections.abc import Mapping, Sequence
 from functools import lru_cache
 import struct
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,20 +29,12 @@ MAX_POINT_STEP = 2**31 - 1
 Columns = dict[str, NDArray[np.generic]]
 
 
-class CloudSize(NamedTuple):
-    """Size of a serialised cloud."""
-
-    points: int  #: height times width
-    fields: int  #: number of fields
-    size: int  #: bytes of the message
-
-
 class BadCloudError(ValueError):
     """Fields or sizes of a cloud contradict each other, or a type is unknown."""
 
 
-def cloud_size(raw: bytes) -> CloudSize:
-    """Return the size of a serialised cloud from its header; BadCloudError if it is too short."""
+def cloud_size(raw: bytes) -> tuple[int, int]:
+    """Return the numbers of points and fields in the header of a cloud, or raise BadCloudError."""
     order = '<' if raw[1:2] == b'\1' else '>'
     try:
         # After 4 bytes on the encoding: stamp, and the frame, a string padded to 4 bytes.
@@ -50,7 +42,7 @@ def cloud_size(raw: bytes) -> CloudSize:
         height, width, fields = struct.unpack_from(order + '3I', raw, 16 + (length + 3) // 4 * 4)
     except struct.error as error:
         raise BadCloudError('too short') from error
-    return CloudSize(height * width, fields, len(raw))
+    return height * width, fields
 
 
 def read_cloud(cloud: PointCloud2, names: Sequence[str]) -> Columns:

@@ -95,10 +95,10 @@ def points_beyond(raw: bytes, most: int) -> int | None:
 
     """
     try:
-        points, fields, size = cloud_size(raw)
+        points, fields = cloud_size(raw)
     except BadCloudError:
         return None
-    is_larger = size > MAX_HEADER_BYTES + most * MAX_POINT_BYTES
+    is_larger = len(raw) > MAX_HEADER_BYTES + most * MAX_POINT_BYTES
     return points if points > most or fields > MAX_FIELDS or is_larger else None
 
 

@@ -133,8 +133,7 @@ def test_the_size_of_a_serialised_cloud_is_read_from_its_header(frame, rows):
                     rows=rows)
     raw = cdr(message)
 
-    assert cloud_size(raw) == (6, len(COLUMNS), len(raw))
-    assert cloud_size(raw[:60 + len(frame)]) == (6, len(COLUMNS), 60 + len(frame))
+    assert cloud_size(raw) == cloud_size(raw[:60 + len(frame)]) == (6, len(COLUMNS))
 
 
 @pytest.mark.parametrize('length', [0, 3, 15, 20, 25])
