@@ -41,53 +41,6 @@ NIS_PLAUSIBLE_RANGE = (0.01, NIS_ERROR)
 MIN_NIS_DOF = 40
 
 
-def _repeated_poses(trial: Trial) -> Iterator[Finding]:
-    for robot, stamps in trial.inputs.health.pose_priors.items():
-        if are_repeated(sorted(stamps)):
-            yield warning(
-                'repeated_poses', f'{robot}/set_pose',
-                f'it has {len(stamps)} poses, each of which restarts the robot',
-                'use set_pose for relocalisation only: poses of GPS or of another localisation'
-                ' make the robot less accurate', len(stamps), min(stamps))
-
-
-def _restarts(robot: str, trial: Trial) -> Iterator[Finding]:
-    """Yield that a robot restarted in its own frame, unless poses were given for that."""
-    statistics = trial.estimator.statistics
-    count = statistics.relocalized[robot]
-    if count and not statistics.pose_priors_used[robot]:
-        yield warning(
-            'restarted', robot,
-            f'it restarted in its own frame {counted(count, "time")}, the last one:'
-            f' {statistics.restart_reasons[robot]}',
-            f'check {robot}.start_pose and {robot}.start_sigma, and its odometry there', count)
-
-
-def is_consistent(trial: Trial) -> bool:
-    """Return whether all robots joined one map in which most observations pass the gate."""
-    groups = trial.estimator.groups
-    return (
-        trial.failure is None and not groups.not_in_map and not groups.moved_landmarks()
-        and all(trial.gated_share(name) < MAX_GATED_SHARE for name in trial.estimator.robots))
-
-
-def maps_agree(trial: Trial) -> bool:
-    """Return whether maps of two robots by their own IDs have the same shape."""
-    maps: defaultdict[str, dict[int, Array]] = defaultdict(dict)
-    for landmark in trial.estimator.landmarks():
-        maps[landmark.robot][landmark.id] = landmark.position
-    return any(_have_one_shape(*pair) for pair in combinations(maps.values(), 2))
-
-
-def _have_one_shape(first: Mapping[int, Array], second: Mapping[int, Array]) -> bool:
-    common = [*(first.keys() & second.keys())]
-    if len(common) < MIN_COMMON_IDS:
-        return False
-    source, target = (np.array([points[id_] for id_ in common]) for points in (first, second))
-    differences = target - transform(rigid_fit(source, target), source)
-    return bool(differences.std() < MAX_DIFFERENCE * target.std(axis=0).mean())
-
-
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
     """Yield robots that never join the map, and measurements that contradict each other."""
     ids = {robot.id for robot in settings.robots}
@@ -118,6 +71,31 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
             'moved_landmark', 'all robots',
             f'{len(moved)} landmarks are observed at several positions: {", ".join(names[:8])}',
             'give each landmark its own ID, or set moved_landmarks: forget', len(moved))
+
+
+def is_consistent(trial: Trial) -> bool:
+    """Return whether all robots joined one map in which most observations pass the gate."""
+    groups = trial.estimator.groups
+    return (
+        trial.failure is None and not groups.not_in_map and not groups.moved_landmarks()
+        and all(trial.gated_share(name) < MAX_GATED_SHARE for name in trial.estimator.robots))
+
+
+def maps_agree(trial: Trial) -> bool:
+    """Return whether maps of two robots by their own IDs have the same shape."""
+    maps: defaultdict[str, dict[int, Array]] = defaultdict(dict)
+    for landmark in trial.estimator.landmarks():
+        maps[landmark.robot][landmark.id] = landmark.position
+    return any(_have_one_shape(*pair) for pair in combinations(maps.values(), 2))
+
+
+def _have_one_shape(first: Mapping[int, Array], second: Mapping[int, Array]) -> bool:
+    common = [*(first.keys() & second.keys())]
+    if len(common) < MIN_COMMON_IDS:
+        return False
+    source, target = (np.array([points[id_] for id_ in common]) for points in (first, second))
+    differences = target - transform(rigid_fit(source, target), source)
+    return bool(differences.std() < MAX_DIFFERENCE * target.std(axis=0).mean())
 
 
 def _exchanged(robot: str, survey: Survey, team: Collection[int]) -> Iterator[Finding]:
@@ -169,6 +147,28 @@ def _common_observations(
     return (
         f'with {other.name}: {len(mine & theirs) if shared_ids else 0} shared landmarks,'
         f' {mutual} observations of each other')
+
+
+def _repeated_poses(trial: Trial) -> Iterator[Finding]:
+    for robot, stamps in trial.inputs.health.pose_priors.items():
+        if are_repeated(sorted(stamps)):
+            yield warning(
+                'repeated_poses', f'{robot}/set_pose',
+                f'it has {len(stamps)} poses, each of which restarts the robot',
+                'use set_pose for relocalisation only: poses of GPS or of another localisation'
+                ' make the robot less accurate', len(stamps), min(stamps))
+
+
+def _restarts(robot: str, trial: Trial) -> Iterator[Finding]:
+    """Yield that a robot restarted in its own frame, unless poses were given for that."""
+    statistics = trial.estimator.statistics
+    count = statistics.relocalized[robot]
+    if count and not statistics.pose_priors_used[robot]:
+        yield warning(
+            'restarted', robot,
+            f'it restarted in its own frame {counted(count, "time")}, the last one:'
+            f' {statistics.restart_reasons[robot]}',
+            f'check {robot}.start_pose and {robot}.start_sigma, and its odometry there', count)
 
 
 def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]:
