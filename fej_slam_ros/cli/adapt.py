@@ -14,7 +14,7 @@ from functools import partial
 from fej_slam_ros.cli.front_end_run import add_copy_arguments, write_copy
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.front_end_topics import formats_in
-from fej_slam_ros.ros.files.landmark_ids import IdsFile
+from fej_slam_ros.ros.files.ids_file import IdsFile
 from fej_slam_ros.ros.messages.object_formats import FORMATS
 from fej_slam_ros.ros.parameters.adapter_settings import (
     AdapterSettings, known_parameters, load_adapter)

@@ -5,7 +5,7 @@
 from collections.abc import Mapping, Sequence
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.files.landmark_ids import IdsFile
+from fej_slam_ros.ros.files.ids_file import IdsFile
 from fej_slam_ros.ros.nodes.endpoints import check_installed
 from fej_slam_ros.ros.nodes.front_end import FrontEndNode, spin
 from fej_slam_ros.ros.parameters.adapter_settings import known_parameters, parse_adapter
