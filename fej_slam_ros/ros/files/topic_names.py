@@ -44,10 +44,10 @@ class TopicNames:
 
     def as_dict(self) -> dict[str, Any]:
         """Return the rules as plain data, without those that change nothing."""
-        rules = [f'{old}:={new}' for old, new in self.renamed.items()]
-        return (
-            ({'remap': rules} if rules else {})
-            | ({'namespace': self.namespace} if self.namespace else {}))
+        entries = {
+            'remap': [f'{old}:={new}' for old, new in self.renamed.items()],
+            'namespace': self.namespace}
+        return {name: entry for name, entry in entries.items() if entry}
 
     def check(self, recorded: Collection[str], bags: str, is_played: bool = False) -> None:
         """

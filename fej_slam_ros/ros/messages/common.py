@@ -39,7 +39,6 @@ def from_time(time: Time) -> int:
 
 
 def header(stamp: int, frame: str) -> Header:
-    """Return a header."""
     return Header(stamp=to_time(stamp), frame_id=frame)
 
 

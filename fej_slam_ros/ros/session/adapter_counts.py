@@ -42,7 +42,6 @@ class AdapterCounts:
             for name in (*robots, UNKNOWN_ROBOT)}
 
     def add(self, robot: str, **counts: int) -> None:
-        """Add to the counts of a robot."""
         self._counts[robot].update(counts)
 
     def reject(self, robot: str, reason: RejectionReason, count: int = 1) -> None:

@@ -28,7 +28,6 @@ class ThinnedPath:
     _skipped: int = 0
 
     def add(self, stamp: int, pose: Array) -> None:
-        """Append a pose."""
         self._skipped += 1
         if self.poses and self._skipped < self._stride:
             return

@@ -60,7 +60,6 @@ class RunLog(ABC, Generic[ConsumerT]):
         self._reminders = 0
 
     def add(self, severity: LogSeverity, text: str) -> None:
-        """Add a line."""
         self._lines.append(LogLine(severity, text))
 
     def description(self) -> str:
