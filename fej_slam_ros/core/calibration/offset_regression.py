@@ -37,7 +37,7 @@ def regression(
     equations: Callable[[Flags], tuple[Complex, Complex]], weights: Array
 ) -> Regression | None:
     """
-    Return c by least squares without outliers, None if all a are 0.
+    Return c by least squares without outliers, None if all a or all b are 0.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def regression(
         kept = now
         A, b = equations(kept)
         A, b = root[:, None] * A, root * b
-        if not A[:, 0].any():
+        if not (A[:, 0].any() and b.any()):
             return None
         prior = scale / OFFSET_SIGMA * np.eye(A.shape[1])[1:]
         N = np.linalg.pinv(np.vstack([A[kept], prior]))

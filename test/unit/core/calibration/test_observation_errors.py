@@ -125,6 +125,15 @@ def test_a_turned_frame_of_motion_capture_is_no_bearing_bias():
     assert errors.observations['p'].values == pytest.approx([1.03, 0.0], abs=0.002)
 
 
+def test_odometry_that_stands_still_shows_no_direction_of_travel():
+    records, _ = run()
+    stuck = [
+        replace(r, pose=np.zeros(3)) if isinstance(r, Odometry) else r for r in records]
+    settings = Settings([RobotSettings('p', 1), RobotSettings('q', 2)], 'p')
+
+    assert errors_by_truth([(record, None) for record in stuck], settings).headings == {}
+
+
 @pytest.mark.parametrize('error', [(1.5, 0.0), (1.0, np.pi / 2.0)])
 def test_errors_that_no_sensor_has_are_reported_and_not_used(error):
     errors = fit(run(*error)[0], given=np.array([1.01, 0.01]))
