@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A full, read-only, removed or slow disk neither stops nor delays a live run, and is reported."""
 
+from contextlib import closing
 import shutil
 import signal
 
@@ -199,7 +200,7 @@ def test_a_disk_that_takes_nothing_delays_no_pose_and_no_answer(domain, tmp_path
 
 def measurements_in(path):
     """Return the measurements of r1 in a file of the exchange."""
-    with ExchangeFile(path, 'r1') as file:
+    with closing(ExchangeFile(path, 'r1')) as file:
         _, *blocks = (block.content for block in file.blocks)
     return LogContents('r1', blocks, ()).measurements()
 

@@ -26,7 +26,7 @@ SIZE_BYTES = 4
 
 class ExchangeFile:
     """
-    A file that only one process writes, until the end of the context.
+    A file that only one process writes, until it is closed.
 
     Parameters
     ----------
@@ -52,12 +52,6 @@ class ExchangeFile:
             with writing(path):
                 self._file.truncate(self._size)
             self._resources = on_error.pop_all()
-
-    def __enter__(self) -> 'ExchangeFile':
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     @property
     def waiting(self) -> Sequence[Block]:

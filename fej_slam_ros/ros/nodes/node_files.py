@@ -3,7 +3,6 @@
 """The files of the runs of a node: no disk delays or ends a run, and what fails is logged."""
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from itertools import count
 from pathlib import Path
 from queue import Empty, SimpleQueue
@@ -74,9 +73,7 @@ class NodeFiles:
         """Lock the file for checkpoints, unless its name is empty."""
         self._checkpoint = CheckpointWriter(Path(path)) if path else None
 
-    def open_exchange(
-        self, path: Path, robot: str
-    ) -> AbstractContextManager[LiveExchangeFile]:
+    def open_exchange(self, path: Path, robot: str) -> LiveExchangeFile:
         """Open the file of the exchange of a robot; a run after a reset continues it."""
         if self._exchange is None:
             file = ExchangeFile(path, robot)
@@ -84,7 +81,7 @@ class NodeFiles:
                 size = sum(len(block.content) for block in file.blocks)
                 self._log.info(f'processing {size / 1e6:.1f} MB of measurements in {path}')
             self._exchange = LiveExchangeFile(file)
-        return nullcontext(self._exchange)
+        return self._exchange
 
     @property
     def _writers(self) -> dict[str, CheckpointWriter | LiveExchangeFile]:

@@ -3,7 +3,6 @@
 """One run of the smoother of one robot that exchanges its measurements with others."""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
 from dataclasses import replace
 from pathlib import Path
 from time import monotonic_ns, time_ns
@@ -41,7 +40,7 @@ from fej_slam_ros.ros.topic_types import (
 BLOCK_POSES = 10
 
 #: Opens the file of the exchange of a robot.
-ExchangeOpener = Callable[[Path, str], AbstractContextManager[ExchangeFile | LiveExchangeFile]]
+ExchangeOpener = Callable[[Path, str], ExchangeFile | LiveExchangeFile]
 
 
 class PeerInputs(Inputs):
@@ -83,7 +82,7 @@ class PeerSession(SmootherSession):
 
     Parameters
     ----------
-    open_exchange : opens the file of the exchange until the end of a context
+    open_exchange : opens the file of the exchange, which the caller closes
     arguments, options : as for `SmootherSession`
 
     """
@@ -93,15 +92,10 @@ class PeerSession(SmootherSession):
     diagnostics: PeerDiagnostics
     log: PeerLog
 
-    def __init__(
-        self, *arguments: Any, open_exchange: ExchangeOpener = ExchangeFile, **options: Any
-    ) -> None:
+    def __init__(self, *arguments: Any, open_exchange: ExchangeOpener, **options: Any) -> None:
         self._open_exchange = open_exchange
         self._file: ExchangeFile | LiveExchangeFile | None = None
-        with ExitStack() as resources:
-            self._resources = resources
-            super().__init__(*arguments, **options)
-            self._resources = resources.pop_all()
+        super().__init__(*arguments, **options)
 
     def _create(self, solve_every: int) -> None:
         settings, node = self.settings.estimation, self.settings.node
@@ -112,8 +106,7 @@ class PeerSession(SmootherSession):
         logs = TeamLogs(own.name, time_ns(), own, TeamParameters(
             settings.shared_landmark_ids, settings.keyframe_distance))
         if node.exchange_file:
-            self._file = self._resources.enter_context(
-                self._open_exchange(Path(node.exchange_file), own.name))
+            self._file = self._open_exchange(Path(node.exchange_file), own.name)
             self._restore(self._file.blocks, logs, own)
         self._exchange = PeerExchange(logs, ExchangeSettings(
             frozenset(robot.name for robot in others), round(node.exchange_period * NS),
@@ -234,12 +227,6 @@ class PeerSession(SmootherSession):
         yield from super().close()
         self.team.logs.flush()
         self._store()
-        self._resources.close()
-
-    def discard_files(self) -> None:
-        """Delete the files that are not complete; the file of the exchange is kept."""
-        super().discard_files()
-        self._resources.close()
 
     def _store(self) -> None:
         """Add new blocks to the file of the exchange, and count what is new of other robots."""

@@ -19,6 +19,7 @@ from fej_slam_ros.core.ekf.state import Landmark
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags, checkpoint
+from fej_slam_ros.ros.files.exchange_file import ExchangeFile
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from fej_slam_ros.ros.session.peer_session import PeerSession
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
@@ -581,11 +582,12 @@ def test_a_smoother_with_peers_refuses_checkpoints(name, value):
     settings = parameters.parse({'robots': ['r1'], 'peers': ['r2'], name: value})
 
     with pytest.raises(UsageError, match="give 'exchange_file' instead"):
-        PeerSession(settings, None)
+        PeerSession(settings, None, open_exchange=ExchangeFile)
 
 
 def test_a_smoother_with_peers_is_not_saved():
-    run = PeerSession(parameters.parse({'robots': ['r1'], 'peers': ['r2']}), None)
+    settings = parameters.parse({'robots': ['r1'], 'peers': ['r2']})
+    run = PeerSession(settings, None, open_exchange=ExchangeFile)
 
     with pytest.raises(UsageError, match="the parameter 'exchange_file'"):
         run.checkpoint_content()

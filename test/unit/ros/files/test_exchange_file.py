@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The file of the exchange on a disk with faults: one sentence, and nothing is damaged."""
 
-from contextlib import suppress
+from contextlib import closing, suppress
 import errno
 import os
 from threading import Event
@@ -52,7 +52,7 @@ def failing(_):
 
 def blocks_in(path):
     """Return the blocks that the next process finds."""
-    with ExchangeFile(path, 'p') as file:
+    with closing(ExchangeFile(path, 'p')) as file:
         return file.blocks
 
 
@@ -74,7 +74,7 @@ def test_what_was_written_in_part_is_not_followed_by_other_blocks(tmp_path, monk
 @pytest.mark.parametrize('size', [1, 100, 500, 536, 540])
 def test_an_incomplete_block_at_the_end_is_cut_off(tmp_path, size):
     path = tmp_path / 'p.exchange'
-    with ExchangeFile(path, 'p') as file:
+    with closing(ExchangeFile(path, 'p')) as file:
         file.append(BLOCKS)
     whole = path.read_bytes()
     path.write_bytes(whole[:-size])

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sessions that exchange their measurements: the central result, also after restarts."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 from functools import cache
 from itertools import count
@@ -59,7 +58,26 @@ def settings(robots, peers=(), **values):
         **values})
 
 
-def session(name, other, folder=None, open_exchange=ExchangeFile, **values):
+#: Files of the exchange by path.
+OPEN = {}
+
+
+@pytest.fixture(autouse=True)
+def _closed_files():
+    yield
+    for path in [*OPEN]:
+        OPEN.pop(path).close()
+
+
+def opened(path, robot):
+    """Open a file of the exchange, after the process that had it before has ended."""
+    if path in OPEN:
+        OPEN.pop(path).close()
+    OPEN[path] = ExchangeFile(path, robot)
+    return OPEN[path]
+
+
+def session(name, other, folder=None, open_exchange=opened, **values):
     return PeerSession(
         settings([name], [other], **values), folder, solve_every=10**9,
         open_exchange=open_exchange)
@@ -172,7 +190,8 @@ def test_robots_that_become_peers_during_a_run_end_with_the_central_result(clock
 
 def test_a_peer_that_returns_has_the_id_of_its_parameter():
     run = PeerSession(
-        settings(['p'], ['q', 'r'], **{'p.id': 10, 'q.id': 3, 'r.id': 30}), None)
+        settings(['p'], ['q', 'r'], **{'p.id': 10, 'q.id': 3, 'r.id': 30}), None,
+        open_exchange=opened)
 
     def ids_after(*peers):
         run.change_team(['p', *peers])
@@ -427,7 +446,7 @@ def test_own_measurements_are_sent_when_the_disk_has_taken_them(clock, tmp_path)
     file = SlowFile(tmp_path / 'p.exchange', 'p')
     sessions = {
         'p': session(
-            'p', 'q', exchange_file=str(file.path), open_exchange=lambda *_: nullcontext(file)),
+            'p', 'q', exchange_file=str(file.path), open_exchange=lambda *_: file),
         'q': session('q', 'p')}
     given = messages()
     fed(sessions, given[:200], clock)
@@ -446,7 +465,7 @@ def test_own_measurements_are_sent_when_the_disk_has_taken_them(clock, tmp_path)
 
 def test_a_run_after_a_reset_goes_on_with_what_the_disk_has_not_taken(clock, tmp_path):
     file = SlowFile(tmp_path / 'p.exchange', 'p')
-    values = {'exchange_file': str(file.path), 'open_exchange': lambda *_: nullcontext(file)}
+    values = {'exchange_file': str(file.path), 'open_exchange': lambda *_: file}
     sessions = {'p': session('p', 'q', **values), 'q': session('q', 'p')}
     fed(sessions, messages()[:200], clock)
     before = known_of_p(closed(sessions['p']))
@@ -467,7 +486,7 @@ def test_a_robot_that_is_killed_while_its_disk_is_full_goes_on_with_the_others(c
     given, file = messages(), SlowFile(tmp_path / 'p.exchange', 'p')
     path = str(file.path)
     sessions = {
-        'p': session('p', 'q', exchange_file=path, open_exchange=lambda *_: nullcontext(file)),
+        'p': session('p', 'q', exchange_file=path, open_exchange=lambda *_: file),
         'q': session('q', 'p')}
     fed(sessions, given[:200], clock)
     file.flush()
@@ -601,7 +620,7 @@ def test_a_parameter_file_may_list_the_own_robot_among_its_peers():
 
     assert [robot.name for robot in given.estimation.robots] == ['p', 'q']
     assert parameters.as_parameters(given)['robots'] == ['p']
-    assert PeerSession(given, None).team.robot == 'p'
+    assert PeerSession(given, None, open_exchange=opened).team.robot == 'p'
 
 
 @pytest.mark.parametrize(('robots', 'peers', 'sentence'), [
