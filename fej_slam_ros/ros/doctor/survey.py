@@ -26,9 +26,7 @@ class TopicSeries:
     #: stamps, logged: stamp and log time of each message, in recorded order [ns]
     stamps: list[int] = field(default_factory=list)
     logged: list[int] = field(default_factory=list)
-    #: frames, child_frames: number of messages by frame
-    frames: Counter[str] = field(default_factory=Counter)
-    child_frames: Counter[str] = field(default_factory=Counter)
+    frames: Counter[str] = field(default_factory=Counter)  #: number of messages by frame
 
     def times(self) -> Stamps:
         """Return the distinct stamps, ascending [ns]."""
@@ -60,6 +58,7 @@ class TopicSeries:
 class OdometrySeries(TopicSeries):
     """Messages of an odometry topic."""
 
+    child_frames: Counter[str] = field(default_factory=Counter)  #: number of messages likewise
     #: x, y, yaw of each message, NaN where the quaternion is invalid
     poses: list[tuple[float, float, float]] = field(default_factory=list)
     variances: list[list[float]] = field(default_factory=list)  #: of vx, vy and wz in each twist
