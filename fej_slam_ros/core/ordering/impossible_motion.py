@@ -20,6 +20,9 @@ AT_ORIGIN = (0.01, 0.01)
 #: than these bounds [m/s, rad/s].
 MAX_SPEED_RATIO = 3.0
 MIN_SPEED_BOUNDS = (1.0, 1.0)
+#: Time without odometry [s], and motion [m, rad], after which a robot at the origin has not
+#: returned there: its driver was off.
+RESTART_GAP, MIN_JUMP = 5.0, (0.1, 0.1)
 #: Largest acceleration [m/s^2]: that of a collision; brakes and motors reach a tenth.
 MAX_ACCELERATION = 100.0
 #: Error of a stamp [s]: of drivers that stamp messages when these are sent, in bursts.
@@ -79,6 +82,8 @@ def impossible_motion(
     is_unusual = (
         distance > max(MAX_SPEED_RATIO * before.linear, speed) * span
         or turn > max(MAX_SPEED_RATIO * before.angular, turn_rate) * span)
-    if is_unusual and is_at_origin(end):
+    was_off = dt > RESTART_GAP and (
+        now.linear * dt > MIN_JUMP[0] or now.angular * dt > MIN_JUMP[1])
+    if (is_unusual or was_off) and is_at_origin(end):
         return f'its odometry began again at zero, {now.linear * dt:.1f} m away'
     return ''

@@ -48,6 +48,15 @@ def test_odometry_that_begins_again_at_zero_is_no_motion_even_if_near():
     assert not reason((0.0, 0.0, 1.5), (0.0, 0.0, 0.1))
 
 
+def test_odometry_that_begins_at_zero_after_a_gap_is_that_of_a_driver_that_was_off():
+    assert reason((4.0, 3.0, 0.1), (0.0, 0.0, 0.0), dt=20.0) == (
+        'its odometry began again at zero, 5.0 m away')
+    assert not reason((4.0, 3.0, 0.1), (0.0, 0.0, 0.0), dt=4.0, before=Speeds(2.0, 0.5))
+    assert not reason((4.0, 3.0, 0.1), (0.1, 0.0, 0.0), dt=20.0)
+    # A robot that stands where its odometry began.
+    assert not reason((0.005, 0.0, 0.0), (0.0, 0.0, 0.0), dt=20.0)
+
+
 @pytest.mark.parametrize(('distance', 'turn', 'dt', 'before'), [
     (3.6, 0.3, 0.1, Speeds(35.0, 3.0)),   # a car at 130 km/h
     (0.0, 0.0, 0.1, Speeds(10.0, 0.0)),   # that hits a wall
