@@ -47,8 +47,10 @@ def finite_numbers(cells: Cells, names: Sequence[str]) -> list[float]:
 
 
 def _finite_number(name: str, text: str | None) -> float:
+    if text is None:
+        raise ValueError(f'it ends before {name}')
     try:
-        value = float(text or '')
+        value = float(text)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):

@@ -6,7 +6,7 @@ Records in a folder of CSV tables, one row for each message or observation; docs
 Numbers are written so that they are read back to the same bits.
 """
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 import csv
 from decimal import Decimal, DecimalException
@@ -201,6 +201,9 @@ def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
     with path.open(encoding='utf-8-sig', errors='replace', newline='') as file:
         reader = csv.DictReader(file)
         try:
+            for name, count in Counter(reader.fieldnames).items():
+                if count > 1 and name.isidentifier():
+                    raise ValueError(f'it has the column {name!r} twice')
             for cells in reader:
                 yield parse(cells)
         except KeyError as column:

@@ -164,7 +164,7 @@ def test_the_anchor_starts_where_its_first_true_pose_and_odometry_put_it(begin, 
 
 
 @pytest.mark.parametrize(('rows', 'reason'), [
-    ('a,1,0,0', 'line 2: yaw is None and not a finite number'),
+    ('a,1,0,0', 'line 2: it ends before yaw'),
     ('a,1,0,x,0', "line 2: y is 'x' and not a finite number"),
     ('a,x,0,0,0', "line 2: stamp_ns is 'x' and not an integer"),
     (f'a,{2 ** 63},0,0,0', "line 2: stamp_ns is '9223372036854775808' and not an integer"),
@@ -206,6 +206,17 @@ def test_a_column_that_is_missing_is_named_with_the_first_line(tmp_path, head, r
     assert str(rejected.value) == (
         f'{folder / "landmarks.csv"}: correct its first line, which lacks the column {column!r},'
         f' separated by commas: {head!r}')
+
+
+def test_a_column_that_is_there_twice_is_named(tmp_path):
+    folder = write(
+        tmp_path, odometry=ODOMETRY, landmarks='robot,stamp_ns,id,x,y,x\na,1,1,0,0,1\n')
+
+    with pytest.raises(UserError) as rejected:
+        csv_tables.read(folder)
+
+    assert str(rejected.value) == (
+        f"{folder / 'landmarks.csv'}: correct line 1: it has the column 'x' twice")
 
 
 @pytest.mark.parametrize('row', ['b,1,a,1,2,.1,0,.2', 'a,1,b,1,2,.1,0,.2'])
