@@ -19,7 +19,7 @@ from fej_slam_ros.ros.messages.object_formats import FORMATS
 from fej_slam_ros.ros.parameters.adapter_settings import (
     AdapterSettings, known_parameters, load_adapter)
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
-from fej_slam_ros.ros.topic_types import TF_TYPE
+from fej_slam_ros.ros.topic_types import STATIC_TF, TF_TYPE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +64,9 @@ def _missing(settings: AdapterSettings, topics: Mapping[str, bags.BagTopic]) -> 
 
 def _cure(settings: AdapterSettings, topics: Mapping[str, bags.BagTopic]) -> str:
     types = {used.type_name for used in settings.object_formats()}
-    found = [name for name, topic in topics.items() if topic.type_name in types]
+    found = [
+        name for name, topic in topics.items()
+        if topic.type_name in types and not name.endswith(STATIC_TF)]
     if found:
         return f'they are on {", ".join(found)}: correct robots, or use --remap'
     present = {name for robot in settings.robots for name in formats_in(topics, robot)}

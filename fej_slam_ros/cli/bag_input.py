@@ -23,8 +23,8 @@ def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Ite
 
     """
     team = [robot.name for robot in settings.robots]
-    names.check_new(expected_topics(team))
     topics = bags.topics(bag, names)
+    names.check_new([*expected_topics(team), *front_end_topics.inputs(topics, team)])
     types = {name: topic.type_name for name, topic in topics.items() if topic.messages}
     absent = [f'{robot}/odom' for robot in team if f'{robot}/odom' not in types]
     if absent:

@@ -34,6 +34,7 @@ def _unusable(session: DetectorSession, topics: Mapping[str, bags.BagTopic]) -> 
     if any(f'{name}/scan' in topics for name in session.robots):
         return ''
     scans = [name for name, topic in topics.items() if topic.type_name == LASER_SCAN]
+    remap = f' /{scans[0]}:=/{next(iter(session.robots))}/scan' if len(scans) == 1 else ''
     return 'no <robot>/scan of the robots in robots, ' + (
-        f'its scans are on {", ".join(scans)}: correct robots, or use --remap' if scans else
+        f'its scans are on {", ".join(scans)}: correct robots, or use --remap{remap}' if scans else
         'it has no laser scans')

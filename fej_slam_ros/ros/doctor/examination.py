@@ -22,7 +22,7 @@ from fej_slam_ros.ros.doctor import (
 from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
-from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files import bags, front_end_topics
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
@@ -66,7 +66,8 @@ def examine(
     bag_topics = bags.topics(path, names)
     settings = given or _default_settings(path, names, robots_in(bag_topics))
     team_names = [robot.name for robot in settings.estimation.robots]
-    names.check_new(expected_topics(team_names))
+    names.check_new(
+        [*expected_topics(team_names), *front_end_topics.inputs(bag_topics, team_names)])
     recorded = RecordedRobots(path, names, team_names)
     messages = partial(bags.read_with_bar, path, names, bag_topics)
     survey, trial = Survey(), Trial(settings.estimation, settings.node, prior_map(settings))

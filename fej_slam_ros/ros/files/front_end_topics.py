@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics of a bag from which a front end can compute observations of landmarks."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.messages.object_formats import FORMATS
@@ -16,6 +16,14 @@ def formats_in(topics: Mapping[str, BagTopic], robot: str) -> list[str]:
         if object_format.type_name != TF_TYPE
         and (topic := topics.get(f'{robot}/{object_format.topic}')) is not None
         and topic.messages and topic.type_name == object_format.type_name]
+
+
+def inputs(topics: Mapping[str, BagTopic], robots: Iterable[str]) -> list[str]:
+    """Return the topics of robots in a bag that a front end reads."""
+    return [
+        name for name, topic in topics.items() for robot in robots
+        if (name == f'{robot}/scan' and topic.type_name == LASER_SCAN)
+        or name in {f'{robot}/{FORMATS[used].topic}' for used in formats_in(topics, robot)}]
 
 
 def cure(topics: Mapping[str, BagTopic], robot: str) -> str:

@@ -74,7 +74,7 @@ class RobotDetector:
 
     def conditions(self) -> Iterator[Condition]:
         """Yield what users have to know, the most serious first."""
-        yield from chain(self._of_use(), self._of_place(), self._of_odometry(), self._of_times())
+        yield from chain(self._of_use(), self._of_odometry(), self._of_place(), self._of_times())
         if self.detector.scans and not self.landmarks:
             yield _no_landmark(self.detector)
 

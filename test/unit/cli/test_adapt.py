@@ -61,6 +61,17 @@ def test_messages_of_another_type_on_the_topic_of_a_format_are_named(tmp_path, c
         (status, *capsys.readouterr()), 1, 'r1/aruco_detections of the type aruco_msgs/msg/')
 
 
+def test_static_transforms_are_not_taken_for_tags(tmp_path, capsys):
+    settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'])
+    mount = foreign.april_tags(0, 'r1/base_link', TAGS, 'tf_static')
+    bag = foreign.write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0), mount])
+
+    status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
+
+    assert_one_sentence(
+        (status, *capsys.readouterr()), 1, 'nor messages of another format that could be read')
+
+
 def test_ids_of_names_are_kept_in_a_file(tmp_path):
     ids = tmp_path / 'ids.json'
     ids.write_text('{"tag36h11:5": 500}')

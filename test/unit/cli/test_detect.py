@@ -59,12 +59,35 @@ def test_scans_on_another_topic_are_named(recorded, tmp_path, capsys):
     assert_one_sentence((status, *capsys.readouterr()), 1, 'r1/scan, r2/scan', '--remap')
 
 
+def test_the_rule_for_the_only_scans_is_named(recorded, tmp_path, capsys):
+    scans = [message for message in bags.read(recorded[0]) if message.topic == 'r1/scan']
+    bag = write_bag(tmp_path / 'bag', [replace(scan, topic='scan') for scan in scans])
+
+    status = run_verb('detect', bag, '--params', recorded[1], '--output', tmp_path / 'out')
+
+    assert_one_sentence((status, *capsys.readouterr()), 1, '--remap /scan:=/r1/scan')
+
+
 def test_a_bag_without_scans_is_refused(recorded, tmp_path, capsys):
     bag = write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0)])
 
     status = run_verb('detect', bag, '--params', recorded[1], '--output', tmp_path / 'out')
 
     assert_one_sentence((status, *capsys.readouterr()), 1, 'no laser scans')
+
+
+@pytest.mark.parametrize('verb', ['replay', 'doctor'])
+def test_scans_under_a_new_name_where_landmarks_are_needed_are_reported_with_detect(
+        recorded, tmp_path, capsys, caplog, verb):
+    bag = write_bag(tmp_path / 'bag', [
+        replace(message, topic='scan') if message.topic == 'r1/scan' else message
+        for message in bags.read(recorded[0])])
+    output = {'replay': ['--output', tmp_path / 'out'], 'doctor': []}[verb]
+
+    run_verb(verb, bag, '--params', recorded[1], *output, '--remap', '/scan:=/r1/scan')
+
+    printed, _ = capsys.readouterr()
+    assert 'find posts or reflectors in r1/scan: detect BAG' in printed + caplog.text
 
 
 def test_the_doctor_of_a_bag_with_scans_but_no_landmarks_names_detect(recorded, capsys):
