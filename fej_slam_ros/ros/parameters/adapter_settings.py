@@ -13,7 +13,7 @@ from fej_slam_ros.core.parameter_kinds import (
 from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
-from fej_slam_ros.ros.parameters.schema import full_names
+from fej_slam_ros.ros.parameters import schema
 from fej_slam_ros.ros.parameters.values import (
     by_owner, given_values, robot_names, Warn, warn_once)
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed
@@ -102,13 +102,15 @@ class AdapterSettings:
 
 def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Parameter]:
     """Return the parameters of the adapter for some robots by their full names."""
-    return full_names(AdapterSettings, SensedRobotSettings, robots)
+    return schema.full_names(AdapterSettings, SensedRobotSettings, robots)
 
 
 def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> AdapterSettings:
     """Return the settings that flat ROS parameters give."""
     robots = robot_names(values.get('robots', []))
-    given = by_owner(given_values(values, known_parameters(robots), warn, robots), robots)
+    checked = given_values(
+        values, known_parameters(robots), warn, robots, schema.known_parameters(robots))
+    given = by_owner(checked, robots)
     settings = AdapterSettings(
         **given.pop(''),
         of_robots={robot: SensedRobotSettings(**own) for robot, own in given.items()})

@@ -15,7 +15,7 @@ from fej_slam_ros.detection.posts import PostDetector
 from fej_slam_ros.detection.reflectors import ReflectorDetector
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.laser import MAX_DURATION
-from fej_slam_ros.ros.parameters.schema import full_names
+from fej_slam_ros.ros.parameters import schema
 from fej_slam_ros.ros.parameters.values import (
     by_owner, given_values, robot_names, Warn, warn_once)
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values, warn_with_path
@@ -92,13 +92,15 @@ class DetectorSettings:
 
 def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Parameter]:
     """Return the parameters of the detector for some robots by their full names."""
-    return full_names(DetectorSettings, LaserRobotSettings, robots)
+    return schema.full_names(DetectorSettings, LaserRobotSettings, robots)
 
 
 def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> DetectorSettings:
     """Return the settings that flat ROS parameters give."""
     robots = robot_names(values.get('robots', []))
-    given = by_owner(given_values(values, known_parameters(robots), warn, robots), robots)
+    checked = given_values(
+        values, known_parameters(robots), warn, robots, schema.known_parameters(robots))
+    given = by_owner(checked, robots)
     settings = DetectorSettings(
         **given.pop(''),
         of_robots={robot: LaserRobotSettings(**own) for robot, own in given.items()})

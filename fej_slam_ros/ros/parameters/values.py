@@ -3,7 +3,7 @@
 """Checks of flat ROS parameters for settings of any kind; a mistake is a UsageError."""
 
 from array import array
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from functools import cache
 import logging
@@ -68,15 +68,17 @@ def with_current_names(values: Mapping[str, object], warn: Warn) -> dict[str, ob
 
 def given_values(
     values: Mapping[str, object], known: Mapping[str, Parameter], warn: Warn,
-    robots: Sequence[str] = (),
+    robots: Sequence[str] = (), of_others: Collection[str] = (),
 ) -> dict[str, Any]:
     """
     Return flat ROS parameters of known names as settings store them.
 
-    Unknown names are those of `_known_values`; angles that exceed a turn are warnings.
+    Unknown names are those of `_known_values`, but for parameters of other nodes that share the
+    file; angles that exceed a turn are warnings.
 
     """
-    checked = checked_values(_known_values(values, known, warn, robots), known)
+    own = {name: value for name, value in values.items() if name in known or name not in of_others}
+    checked = checked_values(_known_values(own, known, warn, robots), known)
     _warn_of_degrees(checked, known, warn)
     return checked
 

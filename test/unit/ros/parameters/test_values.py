@@ -99,10 +99,21 @@ PARSERS = {
     'adapter': (parse_adapter, adapter_settings.known_parameters)}
 
 
-@pytest.mark.parametrize(('node', 'other'), [*permutations(PARSERS, 2)])
+@pytest.mark.parametrize('node', ['detector', 'adapter'])
+def test_a_front_end_ignores_the_parameters_of_the_estimator_in_a_shared_file(node):
+    parser, names = PARSERS[node]
+    warnings, own = [], {'robots': TEAM, 'strict_parameters': True}
+    of_estimator = dict.fromkeys(known_parameters(TEAM).keys() - names(TEAM).keys(), 0)
+
+    assert parser(of_estimator | own, warnings.append) == parser(own)
+    assert warnings == []
+
+
+@pytest.mark.parametrize(('node', 'other'), [
+    pair for pair in permutations(PARSERS, 2) if pair[1] != 'estimator'])
 def test_no_name_is_proposed_for_a_parameter_of_another_node_in_a_shared_file(node, other):
     parser, names = PARSERS[node]
-    unknown = PARSERS[other][1](TEAM).keys() - names(TEAM)
+    unknown = PARSERS[other][1](TEAM).keys() - {*names(TEAM), *known_parameters(TEAM)}
     warnings = []
 
     for name in unknown:
