@@ -72,10 +72,11 @@ def _faults(bag: Path) -> Iterator[str]:
         if _is_truncated(file):
             yield (
                 f'{file} is truncated, its recording or copy was interrupted: {_cure(file)}')
-    if files and bag.is_dir() and not (bag / METADATA).exists():
+    if files and bag.is_dir() and not _has_content(bag / METADATA):
         sources = ' '.join(map(str, files))
+        which = 'an empty' if (bag / METADATA).exists() else 'no'
         yield (
-            f'{bag} has no {METADATA}, its recording was interrupted: run'
+            f'{bag} has {which} {METADATA}, its recording was interrupted: run'
             f' "ros2 bag reindex {bag}", which writes it, or without ROS "rosbags-convert --src'
             f' {sources} --dst NEW --dst-storage mcap"')
     for file in files:
@@ -98,6 +99,10 @@ def _files(bag: Path) -> Iterator[Path]:
     for folder_or_file in [bag] if bag.is_file() else bag.iterdir():
         if folder_or_file.suffix in {'.mcap', '.db3'}:
             yield folder_or_file
+
+
+def _has_content(file: Path) -> bool:
+    return file.exists() and file.stat().st_size > 0
 
 
 def _is_truncated(file: Path) -> bool:

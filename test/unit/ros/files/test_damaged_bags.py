@@ -50,6 +50,14 @@ def test_a_truncated_file_is_named_with_the_command_that_recovers_it(bag, storag
 
 
 @each_storage
+def test_metadata_that_an_interrupted_recording_left_empty_are_named(bag):
+    (bag / 'metadata.yaml').write_text('')
+
+    assert explained(bag).startswith(
+        f'{bag} has an empty metadata.yaml, its recording was interrupted: run "ros2 bag reindex')
+
+
+@each_storage
 def test_a_bag_without_metadata_is_reindexed_or_converted(bag, storage, monkeypatch):
     whole = [*bags.read(bag)]
     (bag / 'metadata.yaml').unlink()
