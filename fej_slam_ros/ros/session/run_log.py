@@ -13,6 +13,7 @@ from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import ConsumerT
 from fej_slam_ros.ros.session.pose_prior_log import PosePriorLog
+from fej_slam_ros.ros.session.rejection_cures import description_and_cure
 from fej_slam_ros.ros.session.topic_flow import TopicFlow
 from fej_slam_ros.ros.topic_types import MEASUREMENT_TOPICS
 
@@ -152,9 +153,11 @@ class RunLog(ABC, Generic[ConsumerT]):
         is_rejected = flow.are_all_rejected(now) and not flow.is_sent_again()
         if is_rejected and topic not in self._rejected_topics:
             self._rejected_topics.add(topic)
+            (reason, _), = flow.rejected_in_a_row.most_common(1)
+            _, cure = description_and_cure(topic, reason, self._consumer.settings)
             self.add(LogSeverity.WARN, (
                 f'all messages on {self.topic_name(topic)} are rejected:'
-                f' {reasons_in_words(flow.rejected_in_a_row)}'))
+                f' {reasons_in_words(flow.rejected_in_a_row)}' + (f': {cure}' if cure else '')))
         elif topic in self._rejected_topics and not flow.rejected_in_a_row:
             self._rejected_topics.remove(topic)
             self.add(

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.ros.doctor.rejections import CURES
 from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
+from fej_slam_ros.ros.session.rejection_cures import CURES
 from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, exchanged, floating_ids, framed,
     in_degrees, in_map, kept, looped, moved, NS, of_type_pose, out_of_order, planted,
