@@ -53,9 +53,9 @@ def _ids(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Fin
             yield warning(
                 'no_identity', where,
                 f'{lacks}: {len(observed)} observations are matched by position only',
-                'publish landmark IDs if the detector knows them: without IDs the maps of robots'
-                ' join only by five landmarks or more at a place that looks like no other, and a'
-                ' lost robot does not recover', len(observed))
+                'publish landmark IDs if the detector knows them: without IDs robots join and lost'
+                ' ones return only by five landmarks or more at a place that looks like no other',
+                len(observed))
     else:
         ids, scans = np.unique(
             np.concatenate([np.unique(scan) for scan in topic.ids]), return_counts=True)
