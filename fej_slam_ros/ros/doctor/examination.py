@@ -46,6 +46,10 @@ EFFECTS_OF_OBSERVATIONS = {
 #: Findings on odometry that explain the rejection of its motion.
 FAULTS_OF_ODOMETRY = {'jump', 'speed'}
 
+#: Findings on distances in other units than metres, and on poses of sensors that they explain.
+FAULTS_OF_UNITS = {'range', 'speed'}
+EFFECTS_OF_UNITS = 'sensor_pose', sensors.DOES_NOT_MOVE
+
 #: Rejections that exchanged topics explain.
 EFFECTS_OF_EXCHANGED_TOPICS = RejectionReason.UNKNOWN_ROBOT, RejectionReason.SELF_OBSERVATION
 
@@ -148,7 +152,11 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
         (reason.value, finding.where) for reason in EFFECTS_OF_EXCHANGED_TOPICS
         for finding in findings if finding.name == team.EXCHANGED_TOPICS} | {
         (RejectionReason.IMPOSSIBLE_MOTION.value, finding.where)
-        for finding in findings if finding.name in FAULTS_OF_ODOMETRY}
+        for finding in findings if finding.name in FAULTS_OF_ODOMETRY} | {
+        # Beside distances in other units, observations or odometry seem to stand still.
+        (effect, f'{finding.where.partition("/")[0]}/{kind}')
+        for finding in findings if finding.name in FAULTS_OF_UNITS
+        for effect in EFFECTS_OF_UNITS for kind in OBSERVATION_TOPICS}
     return (
         finding for finding in findings if finding.name not in explained
         and (finding.name, finding.where) not in explained_at)

@@ -308,6 +308,21 @@ def test_a_robot_that_is_lost_at_the_end_is_not_said_to_have_never_joined(doctor
     assert lost['what'].startswith('it leaves map and is outside at the end: ')
 
 
+@pytest.mark.parametrize(('change', 'cause'), [
+    (each('r1/odom r2/odom', scaled(100.0)), 'speed'),
+    (each('r1/landmarks r2/landmarks', columns(x=lambda x: 100 * x, y=lambda y: 100 * y)),
+     'range')])
+def test_centimetres_are_not_taken_for_a_wrong_place_of_the_sensor(
+        doctor, tmp_path, change, cause):
+    path = planted(tmp_path / 'faulty', change(entries(C)))
+
+    _, found, _ = doctor(path, '--params', BAGS / f'{C}.yaml')
+
+    names = {finding['name'] for finding in found}
+    assert cause in names
+    assert not names & {'sensor_pose', 'does_not_move'}
+
+
 def test_landmark_ids_that_are_not_shared_are_recognised(doctor, tmp_path):
     params = write_parameters(tmp_path / 'params.yaml', robots=['p', 'q'])
 
