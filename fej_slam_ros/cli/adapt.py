@@ -82,4 +82,5 @@ def _cure(settings: AdapterSettings, topics: Mapping[str, bags.BagTopic]) -> str
             ' use --remap')
     if 'tf' in topics:
         return 'choose formats that it has, apriltag for tags on /tf'
-    return 'nor messages of another format that could be read'
+    return 'nor messages of another format that could be read' + (
+        ': record /tf, where apriltag_ros publishes the tags' if TF_TYPE in types else '')

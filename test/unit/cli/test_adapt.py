@@ -69,7 +69,8 @@ def test_static_transforms_are_not_taken_for_tags(tmp_path, capsys):
     status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
 
     assert_one_sentence(
-        (status, *capsys.readouterr()), 1, 'nor messages of another format that could be read')
+        (status, *capsys.readouterr()), 1, 'nor messages of another format that could be read',
+        'record /tf, where apriltag_ros publishes the tags')
 
 
 def test_ids_of_names_are_kept_in_a_file(tmp_path):
