@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import median_filter
 
-from fej_slam_ros.core.geometry import Array, Stamps
+from fej_slam_ros.core.geometry import Array, Stamps, wrap_all
 from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
@@ -26,6 +26,13 @@ MAX_MEDIAN_SPEED = np.array([50.0, 10.0])
 #: Standard deviations of vx, vy, wz [m/s, m/s, rad/s] above which odometry contributes nothing:
 #: drivers fill in variances of 1e3 or more where they know none.
 MAX_SPEED_SIGMA = np.array([30.0, 30.0, 30.0])
+#: Distance of a motion [m] whose direction is compared with the yaw, and minimum number of them.
+COMPARED_DISTANCE, MIN_COMPARED = 0.3, 30
+#: Factors by which a wrong yaw is multiplied.
+YAW_FAULTS = {'have the other sign': -1.0, 'be in radians, not degrees': np.pi / 180.0}
+#: Mean resultant length of the directions relative to the yaw, forwards or backwards, up to which
+#: a robot does not drive in the direction of its yaw, and from which on it does.
+NOT_ALONG, ALONG = 0.6, 0.8
 SPEED_NAMES = np.array(['vx', 'vy', 'wz'])
 
 
@@ -34,6 +41,7 @@ def check(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     stamps, moved = topic.increments()
     if len(moved) > 1:
         yield from _motion(where, stamps, moved)
+        yield from _yaw(where, topic)
     yield from _covariances(where, topic)
 
 
@@ -68,6 +76,27 @@ def _motion(where: str, stamps: Stamps, moved: Array) -> Iterator[Finding]:
             f' {moved[largest, 1]:.3g} rad in {seconds(stamps[largest, 1] - stamps[largest, 0])}',
             'give integrated odometry without resets or corrections of a localisation',
             len(jumps), int(stamps[jumps[0], 1]))
+
+
+def _yaw(where: str, topic: OdometrySeries) -> Iterator[Finding]:
+    """Yield a yaw of the wrong sign or unit, by which no robot drives ahead."""
+    x, y, yaw = topic.ordered_poses().T
+    turned = np.append(0.0, np.cumsum(wrap_all(np.diff(yaw))))
+    driven = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
+    at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1], COMPARED_DISTANCE)))
+    if len(at) <= MIN_COMPARED:
+        return
+    directions = np.arctan2(np.diff(y[at]), np.diff(x[at]))
+    headings = (turned[at][1:] + turned[at][:-1]) / 2.0
+
+    def along(factor: float) -> float:
+        return float(np.abs(np.mean(np.exp(2j * (directions - factor * headings)))))
+
+    fault = max(YAW_FAULTS, key=lambda fault: along(YAW_FAULTS[fault]))
+    if along(1.0) < NOT_ALONG and along(YAW_FAULTS[fault]) > ALONG:
+        yield error(
+            'yaw', where, 'it does not drive in the direction of its yaw, as it would if that'
+            f' were to {fault}', 'give yaw in radians, counterclockwise (REP-103)', len(at))
 
 
 def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:

@@ -39,3 +39,30 @@ def test_stamps_in_bursts_are_not_jumps():
     stamps = k * NS // 10 - np.where(k % 40 == 39, NS // 10 - NS // 10_000, 0)
 
     assert findings_of(0.1 * k, stamps) == []
+
+
+def findings_on_a_drive(of_yaw, direction=0.0, dt=0.1):
+    """Return the findings of a drive at 0.5 m/s in winding curves, with a wrong yaw."""
+    t = dt * np.arange(1000)
+    yaw = 1.5 * np.sin(0.1 * t) + 0.15 * t
+    courses = yaw[:-1] + direction
+    x, y = (
+        0.5 * dt * np.append(0.0, np.cumsum(part(courses))) for part in (np.cos, np.sin))
+    stamps = (t * NS).astype(int).tolist()
+    wrong = np.angle(np.exp(1j * of_yaw(yaw)))
+    return [finding.what for finding in check('r1/odom', OdometrySeries(
+        stamps, stamps, poses=[*zip(x, y, wrong)], variances=[[1e-2, 1e-2, 1e-3]] * 1000))]
+
+
+# At 0.8 s, each step is longer than the compared distance.
+@pytest.mark.parametrize(('of_yaw', 'dt', 'fault'), [
+    (np.negative, 0.1, 'have the other sign'), (np.negative, 0.8, 'have the other sign'),
+    (np.degrees, 0.1, 'be in radians, not degrees')])
+def test_yaw_that_is_not_the_direction_of_travel_is_named(of_yaw, dt, fault):
+    assert findings_on_a_drive(of_yaw, dt=dt) == [
+        f'it does not drive in the direction of its yaw, as it would if that were to {fault}']
+
+
+@pytest.mark.parametrize('direction', [0.0, np.pi, np.pi / 2.0])
+def test_a_robot_may_drive_backwards_or_sideways(direction):
+    assert findings_on_a_drive(lambda yaw: yaw, direction) == []
