@@ -22,7 +22,7 @@ MAX_SPEED_RATIO = 3.0
 MIN_SPEED_BOUNDS = (1.0, 1.0)
 #: Time without odometry [s], and motion [m, rad], after which a robot at the origin has not
 #: returned there: its driver was off.
-RESTART_GAP, MIN_JUMP = 5.0, (0.1, 0.1)
+RESTART_GAP, MIN_JUMP = 2.0, (0.3, 0.2)
 #: Largest acceleration [m/s^2]: that of a collision; brakes and motors reach a tenth.
 MAX_ACCELERATION = 100.0
 #: Error of a stamp [s]: of drivers that stamp messages when these are sent, in bursts.
