@@ -36,10 +36,15 @@ def test_interval_shows_both_bounds():
     assert interval((0.5, 1.25)) == '0.50 to 1.25'
 
 
-@pytest.mark.parametrize('text', ['', 'x', 'nan', 'inf', None])
+@pytest.mark.parametrize('text', ['', 'x', 'nan', 'inf'])
 def test_a_cell_that_is_no_finite_number_is_named(text):
     with pytest.raises(ValueError, match=r'^y is .* and not a finite number$'):
         finite_numbers({'x': '1', 'y': text}, 'xy')
+
+
+def test_a_row_that_ends_early_is_named():
+    with pytest.raises(ValueError, match='^it ends before y$'):
+        finite_numbers({'x': '1', 'y': None}, 'xy')
 
 
 @pytest.mark.parametrize('text', ['1e61', '-1e308'])
