@@ -43,7 +43,7 @@ def test_a_cell_that_is_no_finite_number_is_named(text):
 
 
 def test_a_row_that_ends_early_is_named():
-    with pytest.raises(ValueError, match='^it ends before y$'):
+    with pytest.raises(ValueError, match=r'^it ends before y$'):
         finite_numbers({'x': '1', 'y': None}, 'xy')
 
 
