@@ -6,7 +6,7 @@ Calibrate odometry and noise in a bag, and write parameters that correct them.
 Systematic errors of the odometry of each robot, odometry_scale and odometry_turn_bias, are
 estimated from ground truth over 5 s, or else from landmarks that are observed again within 3 s.
 Those of its observations, observation_range_scale and observation_bearing_bias, are estimated from
-ground truth.
+ground truth; without it, the former by the map that robots share.
 
 The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of

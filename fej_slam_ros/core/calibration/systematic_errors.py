@@ -77,7 +77,8 @@ def _with_heading_error(
     motions: TrueMotions, given: Array
 ) -> tuple[OdometryErrors, tuple[float, float] | None]:
     """Return the errors of odometry, and of true headings with its sigma [rad] if it is shown."""
-    errors, heading = fit_to_truth(motions, given), 0.0
+    as_recorded = fit_to_truth(motions, given)
+    errors, heading = as_recorded, 0.0
     for _ in range(MAX_ALIGNMENTS):
         change, sigma = motions.with_headings(heading).heading_error(errors.values)
         heading += change
@@ -86,7 +87,7 @@ def _with_heading_error(
             break
     if abs(heading) > MIN_SIGMAS * sigma:
         return errors, (heading, sigma)
-    return fit_to_truth(motions, given), None
+    return as_recorded, None
 
 
 def with_errors_by_landmarks(

@@ -317,10 +317,10 @@ def _read_first_block(content: bytes) -> tuple[NoiseSettings, TeamParameters]:
     """Return the noise and the parameters in the first block, or raise a BadBlockError."""
     if len(content) != _FIRST_BLOCK.size:
         raise BadBlockError('its size is not that of a first block')
-    *positive, turn_bias, observation_bearing_bias, shared_landmark_ids, keyframe_distance = (
+    *positive, turn_bias, bearing_bias, shared_landmark_ids, keyframe_distance = (
         _FIRST_BLOCK.unpack(content))
     if not (all(0.0 < value < MAX_NOISE for value in positive)
-            and max(abs(turn_bias), abs(observation_bearing_bias)) < MAX_NOISE):
+            and max(abs(turn_bias), abs(bearing_bias)) < MAX_NOISE):
         raise BadBlockError('noise is positive and finite')
     if not 0.0 <= keyframe_distance <= MAX_KEYFRAME_DISTANCE:
         raise BadBlockError('the distance of keyframes is not negative, and finite')
@@ -329,5 +329,5 @@ def _read_first_block(content: bytes) -> tuple[NoiseSettings, TeamParameters]:
         odometry_sigma=(x, y, phi), landmark_sigma=(z_x, z_y), odometry_noise_scale=scales[0],
         landmark_noise_scale=scales[1], robot_noise_scale=scales[2],
         odometry_scale=(distance, turn), odometry_turn_bias=turn_bias,
-        observation_range_scale=range_scale, observation_bearing_bias=observation_bearing_bias)
+        observation_range_scale=range_scale, observation_bearing_bias=bearing_bias)
     return noise, TeamParameters(shared_landmark_ids, keyframe_distance)

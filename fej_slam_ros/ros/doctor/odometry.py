@@ -80,7 +80,8 @@ def _motion(where: str, stamps: Stamps, moved: Array) -> Iterator[Finding]:
 
 def _yaw(where: str, topic: OdometrySeries) -> Iterator[Finding]:
     """Yield a yaw of the wrong sign or unit, by which no robot drives ahead."""
-    x, y, yaw = topic.ordered_poses().T
+    _, poses = topic.ordered()
+    x, y, yaw = poses.T
     turned = np.append(0.0, np.cumsum(wrap_all(np.diff(yaw))))
     driven = np.append(0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y))))
     at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1], COMPARED_DISTANCE)))

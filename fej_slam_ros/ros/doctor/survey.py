@@ -69,18 +69,15 @@ class OdometrySeries(TopicSeries):
 
         They hold begin and end of each increment [ns], its distance [m] and absolute angle [rad].
         """
-        stamps, poses = self._ordered()
+        stamps, poses = self.ordered()
         steps = np.diff(poses, axis=0)
         turned = np.abs(np.angle(np.exp(1j * steps[:, 2])))
         return (
             np.column_stack([stamps[:-1], stamps[1:]]),
             np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), turned]))
 
-    def ordered_poses(self) -> Array:
-        """Return the valid poses (n, 3) in the order of their stamps."""
-        return self._ordered()[1]
-
-    def _ordered(self) -> tuple[Stamps, Array]:
+    def ordered(self) -> tuple[Stamps, Array]:
+        """Return the stamps (n,) [ns] of the valid poses in order, each once, and these (n, 3)."""
         stamps, first = np.unique(np.array(self.stamps, np.int64), return_index=True)
         poses = np.array(self.poses).reshape(-1, 3)[first]
         finite = np.isfinite(poses).all(axis=1)
