@@ -14,9 +14,11 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.calibration.sensor_pose import fit_sensor, SensorFit
+from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
-from fej_slam_ros.core.records import Odometry, Record, Scan
+from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.doctor import systematic_errors
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.files.topic_names import TopicNames
@@ -56,7 +58,7 @@ DOUBTFUL_CONDITIONS = {'scan_times', 'scan_stamp'}
 FRAME_CONDITION = 'laser_frame'
 #: Findings after which observations fit nothing.
 DOES_NOT_MOVE, BEARINGS = 'does_not_move', 'bearings'
-#: How the observations of each robot agree with its odometry, None if there are too few.
+#: How the scans of each robot agree with its odometry, None if there are too few.
 Fits = Mapping[str, SensorFit | None]
 #: What scans of a laser, and observations of landmarks, need where they are wrong.
 CURES = {
@@ -87,22 +89,21 @@ def check(
         return _first_messages(bags.read(path, names), robots)
 
     posts = _posts(_received(first_messages(), inputs), lasers, collector.robots)
-    records = [record for record, _ in collector.records]
-    fits = _fits(any_post.robots, records, posts)
+    team = TeamRecords((record for record, _ in collector.records), robots)
+    fits = _fits(any_post.robots, team.odometry, posts)
     reversed_fits: Fits = {}
     if any(fit is not None and fit.as_given > SUSPICIOUS for fit in fits.values()):
         other = DetectorSession(replace(any_post, reversed_beams=not detector.reversed_beams))
         posts = _posts(first_messages(), other, collector.robots)
-        reversed_fits = _fits(any_post.robots, records, posts)
-    landmark_fits = _fits(robots, records, [
-        without_systematic_errors(record, collector.robots[record.robot])
-        for record in records if isinstance(record, Scan)])
+        reversed_fits = _fits(any_post.robots, team.odometry, posts)
     for robot in robots:
         yield from _scan_findings(
             robot, fits.get(robot), reversed_fits.get(robot), detector.reversed_beams)
-        fit = landmark_fits[robot]
-        if fit is not None:
-            yield from findings(f'{robot}/landmarks', fit)
+        given, odometry = collector.robots[robot], team.odometry[robot]
+        scans = [without_systematic_errors(scan, given) for scan in team.scans[robot]]
+        fit = fit_sensor(odometry, scans)
+        of_sensor = [] if fit is None else [*findings(f'{robot}/landmarks', fit)]
+        yield from of_sensor or systematic_errors.check(given, odometry, scans)
         if robot in any_post.robots:
             found = lasers.detectors[robot]
             yield from _radii(robot, found.radii, detector)
@@ -117,12 +118,13 @@ def _any_post_settings(detector: DetectorSettings, topics: Container[str]) -> De
         static_time=0.0)
 
 
-def _fits(robots: Iterable[str], records: Sequence[Record], scans: Sequence[Scan]) -> Fits:
+def _fits(
+    robots: Iterable[str], odometry: Mapping[str, Sequence[Odometry]], scans: Sequence[Scan]
+) -> Fits:
     """Return how scans agree with the odometry of each robot."""
     return {
-        robot: fit_sensor(
-            [r for r in records if isinstance(r, Odometry) and r.robot == robot],
-            sorted((s for s in scans if s.robot == robot), key=attrgetter('stamp')))
+        robot: fit_sensor(odometry[robot], sorted(
+            (scan for scan in scans if scan.robot == robot), key=attrgetter('stamp')))
         for robot in robots}
 
 

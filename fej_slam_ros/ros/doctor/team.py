@@ -127,11 +127,13 @@ def _not_joined(
             'let both observe the same landmarks with the same IDs'
             if settings.shared_landmark_ids else
             'set shared_landmark_ids: true if all robots use the same IDs')
+        what, first = (
+            (f'it leaves {MAP} and is outside at the end',
+             'correct the other findings, run fej_slam calibrate if observations do not fit, ')
+            if robot.name in trial.joined else (f'it never joins {MAP}', ''))
         yield error(
-            'never_joins', robot.name,
-            (f'it leaves {MAP} and is outside at the end' if robot.name in trial.joined else
-             f'it never joins {MAP}') + f': {reason} ({common or "it is the only robot"})',
-            f'{shared}, let robots observe each other ({robot.name}/robots), or give'
+            'never_joins', robot.name, f'{what}: {reason} ({common or "it is the only robot"})',
+            f'{first}{shared}, let robots observe each other ({robot.name}/robots), or give'
             f' {robot.name}.start_pose')
 
 

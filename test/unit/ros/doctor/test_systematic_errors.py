@@ -1,0 +1,50 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""`doctor` names systematic errors of odometry that landmarks show."""
+
+import pytest
+
+from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.ros.doctor import systematic_errors
+from helpers.wrong_odometry import run
+
+
+def whats(scale=(1.0, 1.0), bias=0.0, **given):
+    """Return the descriptions of the findings on odometry with errors."""
+    odometry, scans, _ = run(scale, bias, seconds=300.0)
+    robot = RobotSettings('r', 1, **given)
+    return [finding.what for finding in systematic_errors.check(robot, odometry, scans)]
+
+
+@pytest.mark.parametrize(('scale', 'bias', 'words'), [
+    ((1.08, 1.0), 0.0, ('distances', 'too short')),
+    ((0.92, 1.0), 0.0, ('distances', 'too long')),
+    ((1.0, 1.1), 0.0, ('turns', 'too small')),
+    ((1.0, 0.9), 0.0, ('turns', 'too large')),
+    ((1.0, 1.0), 0.02, ('turn rate', 'too high')),
+    ((1.0, 1.0), -0.02, ('turn rate', 'too low')),
+])
+def test_an_error_is_named_with_its_sign_alone(scale, bias, words):
+    (what,) = whats(scale, bias)
+
+    assert what.count(' too ') == 1
+    for word in words:
+        assert word in what
+
+
+def test_all_errors_are_in_one_finding():
+    (what,) = whats((1.08, 0.9), 0.02)
+
+    assert what.count(' too ') == 3
+
+
+@pytest.mark.parametrize(('scale', 'bias'), [((1.0, 1.0), 0.0), ((1.015, 0.99), 0.002)])
+def test_odometry_without_errors_and_with_small_ones_has_no_finding(scale, bias):
+    assert not whats(scale, bias)
+
+
+def test_errors_that_parameters_correct_have_no_finding():
+    given = {'odometry_scale': (1.08, 0.9), 'odometry_turn_bias': 0.02}
+
+    assert not whats((1.08, 0.9), 0.02, **given)
+    assert whats(**given)
