@@ -18,8 +18,10 @@ from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, 
 from fej_slam_ros.core.data_association.wrong_landmarks import (
     MOVED_LANDMARKS, note_accepted, remove_contradicted, remove_started)
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
-from fej_slam_ros.core.ekf.gating import Association, GatedObservation, suspected_robots
+from fej_slam_ros.core.ekf.gating import (
+    Association, gated_robots, GatedObservation, suspected_robots)
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
+from fej_slam_ros.core.ekf.pose_inflation import inflate_poses
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
 from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.ekf.state_hash import state_hash
@@ -243,7 +245,8 @@ class Estimator(TeamInput):
         for scan in scans:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
         observers = [scan.robot for scan in step.scans]
-        self._quarantine.restart_lost(observers, step.stamp, self.settings.join_min_landmarks)
+        for restart in self._quarantine.restart_lost, self._quarantine.restart_unjoined:
+            restart(observers, step.stamp, self.settings.join_min_landmarks)
         self._quarantine.restart_ambiguous(observers, step.stamp)
         self._quarantine.restart_contradicted(
             [s.observed for scan in step.robot_scans for s in scan.observations], step.stamp)
@@ -309,10 +312,13 @@ class Estimator(TeamInput):
         """Record the statistics, moved landmarks and rejected observations of an update."""
         scan_statistics = innovation.scan_gate_statistics()
         self.innovations.add(stamp, innovation, scan_statistics)
+        inflate_poses(
+            group.state, innovation, scan_statistics,
+            self.innovations.lost_robots.may_have_slipped)
         note_accepted(innovation, scan_statistics)
         suspected = suspected_robots(scan_statistics)
         for started in (
-            *remove_started(group.state, suspected, stamp),
+            *remove_started(group.state, gated_robots(scan_statistics), stamp),
             *remove_contradicted(group.state, innovation, suspected),
         ):
             self.statistics.reject_observation(started)

@@ -81,6 +81,17 @@ class Quarantine:
                 self._lost_robots.restart(robot)
                 self._restart(robot, stamp, reason)
 
+    def restart_unjoined(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
+        """Restart lost robots whose own maps share enough landmarks to join, and do not fit."""
+        team = self._groups.team.state.landmarks
+        for robot in filter(self._lost_robots.remains_unjoined, robots):
+            shared = team.keys() & self._groups.of(robot).state.landmarks.keys()
+            if len(shared) >= min_landmarks:
+                self._lost_robots.restart(robot)
+                self._restart(
+                    robot, stamp, f'its own map has {len(shared)} landmarks of the team and does'
+                    ' not fit')
+
     def restart_contradicted(self, robots: Iterable[str], stamp: int) -> None:
         """Restart robots that others, whose landmarks confirm their poses, observe elsewhere."""
         for robot in robots:
@@ -123,7 +134,7 @@ class Quarantine:
         known = {key for key in keys if key in landmarks}
         statistics = ScanGateStatistics()
         for key in known:
-            statistics.add(robot, landmarks[key], failed=False)
+            statistics.add(robot, landmarks[key], failed=False, gated=False)
         if not statistics.can_clear():
             known = set()
             self._lost_robots.add_inconclusive(robot)

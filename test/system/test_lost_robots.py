@@ -14,7 +14,8 @@ import pytest
 
 from fej_slam_ros.core.records import Scan
 from helpers.lost_robots import (
-    drive, fault_at, FAULTS, HEALTHY, is_of_lost, LOST, run, SENSORS, set_clock, STEP, survey)
+    drive, fault_at, FAULTS, HEALTHY, is_of_lost, LOST, run, SENSORS, set_clock, slip, STEP,
+    survey)
 
 #: Faults during a run, and from its start.
 DURING = [name for name in FAULTS if 'start' not in name]
@@ -51,6 +52,21 @@ def test_the_followers_of_a_lost_robot_are_where_they_would_be_without_its_fault
 
 
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
+@pytest.mark.parametrize('turned', [0.05, 0.1, 0.15])
+def test_a_robot_that_turns_by_a_slip_is_corrected_by_the_next_scan(turned, kind):
+    """Before, its scans failed the gate for seconds, or it was lost."""
+    since, end = 60 * STEP, 70 * STEP
+    inject = slip(1.0, turned, seconds=0.1)
+    faulty = run(
+        inject(drive(0), since, np.random.default_rng(1)), since, end, filter=kind)
+
+    assert faulty.lost_share == 1.0
+    assert not faulty.estimator.statistics.relocalized[LOST]
+    # Ten observations of 0.1 m in each of nine scans, with the correlation of a map.
+    assert faulty.lost_error < 0.15
+
+
+@pytest.mark.parametrize('kind', ['fej', 'invariant'])
 @pytest.mark.parametrize('fault', ['slip, 3 times', 'slip, turning'])
 def test_a_robot_that_only_others_observe_is_found_after_its_wheels_slipped(fault, kind):
     since, rng = 150 * STEP, np.random.default_rng(1)
@@ -65,6 +81,18 @@ def test_a_robot_that_only_others_observe_is_found_after_its_wheels_slipped(faul
         'r1': 0, 'r2': 0, LOST: 1}
     # Nine contradictions, ten in a second, and some observations from which it joins again.
     assert faulty.lost_share > 0.9
+    assert faulty.lost_error < 0.5
+
+
+def test_a_robot_whose_own_map_has_a_slip_in_it_begins_another():
+    """Before, it stayed outside `map` with ten landmarks of the team, which did not fit."""
+    seed = 38
+    records, (rng, since) = drive(seed), fault_at(seed)
+
+    faulty = run(FAULTS['slip, stuck'](records, since, rng), since)
+
+    assert 'does not fit' in faulty.estimator.statistics.restart_reasons[LOST]
+    assert LOST in faulty.estimator.groups.team.robots
     assert faulty.lost_error < 0.5
 
 

@@ -19,6 +19,10 @@ LOST_AFTER = 3
 MIN_CONTRADICTIONS = 9
 MAX_FAILED_SCANS = 9
 
+#: Largest count of scans that mostly failed the gate, twice, less those that passed, after which
+#: the last of them may be due to a slip of wheels: that is over after two scans.
+MAX_GATED = 4
+
 #: Share of the landmarks without ID that should be in view that a lost robot misses.
 MISSED_BY_LOST = 0.8
 
@@ -36,6 +40,8 @@ CONTRADICTIONS_BY_OTHERS = MIN_CONTRADICTIONS
 
 #: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
 PROBATION = 20
+#: Number of further scans after which its own map is wrong if it shares enough landmarks to join.
+MAX_UNJOINED = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +90,15 @@ class LostRobot:
 
     reason: str  #: why it counted as lost when it restarted in its own frame
     probation: int = PROBATION  #: number of scans that must fit before it may join
+    unjoined: int = 0  #: number of scans since then
 
     def continue_probation(self, scan: ScanGateStatistics) -> None:
         """Add a scan: one that mostly failed begins the probation again, unless it is over."""
-        if self.probation and scan.mostly_failed():
+        if not self.probation:
+            self.unjoined += 1
+        elif scan.mostly_failed():
             self.probation = PROBATION
-        elif self.probation and scan.known and 2 * scan.failed <= scan.known:
+        elif scan.known and 2 * scan.gated <= scan.known:
             self.probation -= 1
 
 
@@ -110,6 +119,8 @@ class LostRobotDetector:
         # observations in a row, by robots of which it does, contradict that of another.
         self._confirmed: dict[str, bool] = {}
         self._contradictions: Counter[str] = Counter()
+        # Twice the number of scans that mostly failed the gate, less those that passed, or 0.
+        self._gated: Counter[str] = Counter()
 
     def add(self, statistics: StatisticsByRobot) -> None:
         """Add the scans of one update."""
@@ -121,6 +132,9 @@ class LostRobotDetector:
                 self.forget_scans(robot)
             elif evidence.failed:
                 self.add_inconclusive(robot)
+            if scan.can_clear():
+                change = 2 if scan.mostly_gated() else -1
+                self._gated[robot] = max(self._gated[robot] + change, 0)
             if robot in self._lost:
                 self._lost[robot].continue_probation(scan)
             if scan.known:
@@ -163,6 +177,7 @@ class LostRobotDetector:
     def restart(self, robot: str) -> None:
         """Begin the probation of a lost robot that restarts in its own frame."""
         self._lost[robot] = LostRobot(self.reason(robot) or '')
+        self._gated.pop(robot, None)
         self.forget_scans(robot)
 
     def mark_found(self, in_map: Container[str]) -> None:
@@ -172,6 +187,7 @@ class LostRobotDetector:
 
     def reset(self, robot: str) -> None:
         """Clear the evidence that a robot is lost."""
+        self._gated.pop(robot, None)
         self.forget_scans(robot)
         self._lost.pop(robot, None)
 
@@ -181,8 +197,8 @@ class LostRobotDetector:
         self._contradictions.pop(robot, None)
 
     def is_suspected(self, robot: str) -> bool:
-        """Return whether most of a scan of a robot failed, and none since has cleared it."""
-        return bool(self._of(robot).failed)
+        """Return whether most of a scan of a robot failed, and those since have not cleared it."""
+        return bool(self._of(robot).failed) or self._gated[robot] > 0
 
     def must_restart(self, robot: str) -> bool:
         """Return whether enough scans in a row mostly failed."""
@@ -197,6 +213,14 @@ class LostRobotDetector:
         is_enough = (
             evidence.ambiguous_scans >= AMBIGUOUS_SCANS and observations >= AMBIGUOUS_OBSERVATIONS)
         return observations if is_enough else 0
+
+    def may_have_slipped(self, robot: str) -> bool:
+        """Return whether a slip may be why the latest scan of a robot mostly failed the gate."""
+        return robot not in self.on_probation() and self._gated[robot] <= MAX_GATED
+
+    def remains_unjoined(self, robot: str) -> bool:
+        """Return whether a lost robot has not joined for long after its probation."""
+        return robot in self._lost and self._lost[robot].unjoined >= MAX_UNJOINED
 
     def on_probation(self) -> dict[str, str]:
         """Return why robots that were lost may not join ``map`` yet."""

@@ -63,9 +63,11 @@ class Innovation(NamedTuple):
     def scan_gate_statistics(self) -> StatisticsByRobot:
         """Return the gate's result on the landmarks of each robot's scan."""
         inflated = {gated.association for gated in self.inflated}
+        failed = [bool(inflated) and a in inflated for a in self.used]
         return scan_gate_statistics([
-            *((a, bool(inflated) and a in inflated) for a in self.used),
-            *((gated.association, gated.contradicts()) for gated in self.rejected)])
+            *zip(self.used, failed, failed),
+            *((gated.association, gated.contradicts(), not gated.passed())
+              for gated in self.rejected)])
 
     def log_likelihood(self) -> float:
         """Return -1/2 (r^T S^-1 r + log det S), the log-likelihood up to a constant."""

@@ -85,16 +85,21 @@ class ScanGateStatistics:
     failed: int = 0
     trusted: int = 0  #: trusted landmarks among the known ones
     trusted_failed: int = 0  #: and among those that failed
+    gated: int = 0  #: landmarks that failed the gate, whether they contradict the estimate or not
+    trusted_gated: int = 0  #: trusted landmarks among these
 
-    def add(self, robot: str, landmark: Landmark, failed: bool) -> None:
+    def add(self, robot: str, landmark: Landmark, failed: bool, gated: bool) -> None:
         """Add whether an observation of a landmark failed, if that concerns the robot's pose."""
         # A landmark that another robot has just started may be wrong itself.
         if not landmark.is_trusted and landmark.owner != robot:
             return
         self.known += 1
         self.failed += failed
-        self.trusted += landmark.is_trusted
-        self.trusted_failed += failed and landmark.is_trusted
+        self.gated += gated
+        if landmark.is_trusted:
+            self.trusted += 1
+            self.trusted_failed += failed
+            self.trusted_gated += gated
 
     def is_conclusive(self) -> bool:
         """Return whether the scan distinguishes a wrong pose from a moved landmark."""
@@ -106,34 +111,53 @@ class ScanGateStatistics:
 
     def mostly_failed(self) -> bool:
         """Return whether the robot's pose, not a landmark, is suspected."""
-        if not self.is_conclusive():
-            return False
-        if self.trusted >= MIN_TRUSTED:
-            return 2 * self.trusted_failed > self.trusted
-        return 2 * self.failed > self.known
+        return self.is_conclusive() and self._are_most(self.failed, self.trusted_failed)
+
+    def mostly_gated(self) -> bool:
+        """Return whether most of it fails the gate, perhaps by an overconfident pose only."""
+        return self.can_clear() and self._are_most(self.gated, self.trusted_gated)
 
     def confirms_pose(self) -> bool:
         """Return whether trusted landmarks confirm the robot's pose."""
-        return self.trusted >= MIN_TRUSTED and 2 * self.trusted_failed < self.trusted
+        return self.trusted >= MIN_TRUSTED and 2 * self.trusted_gated < self.trusted
+
+    def _are_most(self, count: int, trusted: int) -> bool:
+        """Return whether a number of landmarks are most: of the trusted ones, if these decide."""
+        if self.trusted >= MIN_TRUSTED:
+            return 2 * trusted > self.trusted
+        return 2 * count > self.known
 
 
 #: The gate's results on the scans of an update, by robot.
 StatisticsByRobot = Mapping[str, ScanGateStatistics]
 
 
-def scan_gate_statistics(results: Iterable[tuple[Association, bool]]) -> StatisticsByRobot:
-    """Return the statistics of each robot's scan from observations and whether they failed."""
+def scan_gate_statistics(
+    results: Iterable[tuple[Association, bool, bool]]
+) -> StatisticsByRobot:
+    """
+    Return the statistics of each robot's scan.
+
+    The results are observations, whether they contradict the estimate, and whether they failed
+    the gate.
+
+    """
     statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
-    for a, failed in results:
+    for a, failed, gated in results:
         scan = statistics[a.observer.name]
         if isinstance(a.observed, Landmark):
-            scan.add(a.observer.name, a.observed, failed)
+            scan.add(a.observer.name, a.observed, failed, gated)
     return dict(statistics)
 
 
 def suspected_robots(statistics: StatisticsByRobot) -> list[str]:
     """Return the robots whose scans mostly failed."""
     return [name for name, scan in statistics.items() if scan.mostly_failed()]
+
+
+def gated_robots(statistics: StatisticsByRobot) -> list[str]:
+    """Return the robots most of whose scans failed the gate."""
+    return [name for name, scan in statistics.items() if scan.mostly_gated()]
 
 
 class Gate:
@@ -186,7 +210,10 @@ class Gate:
         on_arcs = curved_distances()
         are_curved = ~passed & (on_arcs <= self.threshold)
         passed, d2 = passed | are_curved, np.where(are_curved, on_arcs, d2)
-        suspected = self._suspected(observations, d2)
+        failed, gated = (
+            (d2 > limit).tolist()
+            for limit in (max(self.threshold, CONTRADICTION_D2), self.threshold))
+        suspected = self._suspected(scan_gate_statistics(zip(observations, failed, gated)))
         observations, used = self._selected(observations, r, S, passed, suspected)
         results = [
             GatedObservation(a, float(distance), self.threshold)
@@ -204,15 +231,14 @@ class Gate:
         """Return the observations and which of them to use, given the suspected robots."""
         return observations, passed & ~_involve(suspected, observations)
 
-    def _suspected(self, observations: Sequence[Association], d2: Array) -> list[str]:
-        """Return the robots whose scans mostly failed."""
-        failed = (d2 > max(self.threshold, CONTRADICTION_D2)).tolist()
-        return suspected_robots(scan_gate_statistics(zip(observations, failed)))
+    def _suspected(self, statistics: StatisticsByRobot) -> list[str]:
+        """Return the robots whose scans are not used as they are."""
+        return suspected_robots(statistics)
 
 
 class InflatingGate(Gate):
     """
-    A gate that inflates the noise of a scan of which most landmark observations fail.
+    A gate that inflates the noise of a scan of which most landmark observations fail it.
 
     The noise of the whole scan is scaled until the median of its squared distances is that of
     chi-square, and the gate is applied again. A lost robot so recovers by observations of little
@@ -239,6 +265,10 @@ class InflatingGate(Gate):
             for a, noise in zip(observations, scale * R)]
         d2 = squared_distances(r, S + (scale - 1.0) * R)
         return inflated, passed | (d2 <= self.threshold)
+
+    def _suspected(self, statistics: StatisticsByRobot) -> list[str]:
+        """Return the robots whose scans of three known landmarks or more mostly fail the gate."""
+        return [name for name in gated_robots(statistics) if statistics[name].is_conclusive()]
 
 
 def _involve(robots: Container[str], observations: Sequence[Association]) -> Flags:

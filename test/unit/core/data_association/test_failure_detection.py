@@ -114,9 +114,54 @@ def test_a_robot_is_lost_after_three_failed_scans_until_one_passes():
         None]
 
 
+def test_a_slip_of_wheels_is_over_after_two_scans_in_a_row():
+    lost = LostRobotDetector()
+
+    def may_have_slipped(scans):
+        for scan in scans:
+            gated = 3 if scan == '1' else 0
+            lost.add({'r1': ScanGateStatistics(known=4, gated=gated)})
+        return lost.may_have_slipped('r1')
+
+    assert may_have_slipped('11')
+    assert not may_have_slipped('1')
+    assert not may_have_slipped('0001')
+    # Too few landmarks to tell.
+    lost.add({'r1': ScanGateStatistics(known=1, gated=1)})
+    assert may_have_slipped('0')
+    # Two scans that pass make up for one that fails.
+    assert lost.is_suspected('r1')
+    assert may_have_slipped('0000')
+    assert not lost.is_suspected('r1')
+
+
+def test_a_robot_on_probation_shows_by_itself_that_its_scans_fit():
+    lost = LostRobotDetector()
+    lost.restart('r1')
+
+    lost.add({'r1': ScanGateStatistics(known=4, gated=3)})
+
+    assert not lost.may_have_slipped('r1')
+
+
+def test_a_lost_robot_remains_unjoined_after_100_scans_beyond_its_probation():
+    lost = LostRobotDetector()
+    lost.restart('r1')
+    fits = ScanGateStatistics(known=4)
+
+    for _ in range(20 + 99):
+        lost.add({'r1': fits})
+    assert not lost.remains_unjoined('r1')
+    lost.add({'r1': fits})
+    assert lost.remains_unjoined('r1')
+    lost.restart('r1')
+    assert not lost.remains_unjoined('r1')
+    assert not lost.remains_unjoined('r2')
+
+
 def test_others_contradict_a_pose_only_if_landmarks_confirm_theirs_and_not_this_one():
     confirmed, contradicted = (
-        ScanGateStatistics(known=4, trusted=4, failed=k, trusted_failed=k) for k in (0, 3))
+        ScanGateStatistics(known=4, trusted=4, gated=k, trusted_gated=k) for k in (0, 3))
 
     def contradictions(r1, r2, passed=()):
         lost = LostRobotDetector()
@@ -186,7 +231,7 @@ def test_a_robot_that_was_lost_is_on_probation_until_20_scans_in_a_row_fit():
     add(0, 19)
     # Neither of these fits: without known landmarks, and of too few to tell a wrong pose.
     lost.add({'r1': ScanGateStatistics()})
-    lost.add({'r1': ScanGateStatistics(2, 2)})
+    lost.add({'r1': ScanGateStatistics(2, 2, gated=2)})
     assert lost.on_probation()
     add(0)
 

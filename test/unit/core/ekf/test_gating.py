@@ -254,7 +254,7 @@ def test_trusted_landmarks_decide_whether_a_pose_is_suspected(trusted, failed, s
     statistics = ScanGateStatistics()
     for k, (is_trusted, has_failed) in enumerate(zip(trusted, failed)):
         landmark = Landmark(('', k), Slot(0, 2), 'r1', 0, is_trusted=is_trusted == '1')
-        statistics.add('r1', landmark, has_failed == '1')
+        statistics.add('r1', landmark, has_failed == '1', True)
 
     assert statistics.mostly_failed() == suspected
 
@@ -262,7 +262,7 @@ def test_trusted_landmarks_decide_whether_a_pose_is_suspected(trusted, failed, s
 def test_untrusted_landmarks_of_other_robots_do_not_count_for_a_pose():
     statistics = ScanGateStatistics()
     for k in range(3):
-        statistics.add('r1', Landmark(('', k), Slot(0, 2), 'r2', 0, is_trusted=False), True)
+        statistics.add('r1', Landmark(('', k), Slot(0, 2), 'r2', 0, is_trusted=False), True, True)
 
     assert statistics == ScanGateStatistics()
 
@@ -273,9 +273,10 @@ def test_three_known_or_two_trusted_landmarks_can_clear_a_suspected_robot(known,
     assert ScanGateStatistics(known, trusted=trusted).can_clear() is clears
 
 
-@pytest.mark.parametrize(('trusted', 'failed', 'confirmed'), [
+@pytest.mark.parametrize(('trusted', 'gated', 'confirmed'), [
     (2, 0, True), (3, 1, True), (2, 1, False), (1, 0, False)])
-def test_most_of_at_least_two_trusted_landmarks_confirm_a_pose(trusted, failed, confirmed):
-    scan = ScanGateStatistics(trusted, failed, trusted, trusted_failed=failed)
+def test_most_of_at_least_two_trusted_landmarks_confirm_a_pose(trusted, gated, confirmed):
+    """Before, landmarks that failed the gate without a contradiction confirmed it, too."""
+    scan = ScanGateStatistics(trusted, trusted=trusted, gated=gated, trusted_gated=gated)
 
     assert scan.confirms_pose() is confirmed

@@ -1,0 +1,83 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Inflation of the covariance of a robot that is farther from its estimate than that says.
+
+After a slip of wheels, or an update that was linearised far from the true pose, most of a scan
+fails the gate although its observations agree with each other. None of them corrects the pose, so
+that the next scans fail, too, until the noise of odometry has made the covariance large enough.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.linalg import block_diag, solve_triangular
+from scipy.special import chdtri
+
+from fej_slam_ros.core.ekf.filter import Innovation
+from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
+from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Robot
+from fej_slam_ros.core.geometry import Array, perpendicular, poses_plus, rigid_fit, transform, wrap
+from fej_slam_ros.core.models import G
+
+#: Probability with which a correct scan counts as one that fits the map nowhere.
+MISFIT_PROBABILITY = 1e-3
+#: Largest error of the heading [rad]: a robot that is turned further is not located by an update
+#: of first order, and two landmarks with exchanged IDs turn a pose by half a turn.
+MAX_HEADING_ERROR = 0.6
+
+
+def inflate_poses(
+    state: JointState, innovation: Innovation, statistics: StatisticsByRobot,
+    may_have_slipped: Callable[[str], bool],
+) -> None:
+    """
+    Inflate the covariance of robots most of whose scans failed the gate in an update.
+
+    Scans that contradict the estimate, whose observations fit the map under no pose, or whose
+    robots have not slipped, are left to the detection of lost robots.
+
+    """
+    if not innovation.rejected:
+        return
+    associations = [*innovation.used, *(gated.association for gated in innovation.rejected)]
+    for name, scan in statistics.items():
+        if scan.mostly_gated() and not scan.mostly_failed() and may_have_slipped(name):
+            robot = state.robots[name]
+            of_landmarks = [
+                a for a in associations
+                if a.observer is robot and isinstance(a.observed, Landmark)]
+            pose = _fitted_pose(state, of_landmarks)
+            if pose is not None:
+                _inflate(state, robot, of_landmarks, pose)
+
+
+def _fitted_pose(state: JointState, scan: Sequence[Association]) -> Array | None:
+    """Return the pose (3,) under which a scan fits the map, None if there is none."""
+    _, landmarks, observations = zip(*scan)
+    z = np.array([observation.z for observation in observations])
+    f = state.estimates_of(position_indices(landmarks))
+    pose = rigid_fit(z, f)
+    C, expected = G(pose[2])[:2, :2], transform(pose, z)
+    D = np.hstack([
+        np.tile(np.eye(2), (len(z), 1)), perpendicular(expected - pose[:2]).reshape(-1, 1)])
+    S = state.marginal(landmarks) + block_diag(*(C @ o.R @ C.T for o in observations))
+    L = np.linalg.cholesky(S)
+    y, H = (solve_triangular(L, rows, lower=True) for rows in ((f - expected).ravel(), D))
+    dx = np.linalg.lstsq(H, y, rcond=None)[0]
+    chi2, dof = np.sum((y - H @ dx) ** 2), len(y) - len(dx)
+    fitted: Array = poses_plus(pose[None], dx)[0]
+    return fitted if chi2 <= chdtri(dof, MISFIT_PROBABILITY) else None
+
+
+def _inflate(
+    state: JointState, robot: Robot, scan: Sequence[Association], pose: Array
+) -> None:
+    """Make the squared distance of a robot from a pose (3,) in the map the expected one."""
+    P = state.marginal([robot, *(a.observed for a in scan)])
+    relative = P[:3, :3] - P[:3, 3:] @ np.linalg.lstsq(P[3:, 3:], P[3:, :3], rcond=None)[0]
+    error = pose - state.pose(robot)
+    error[2] = wrap(error[2])
+    factor = float(error @ np.linalg.solve(relative, error)) / len(error)
+    if factor > 1.0 and abs(error[2]) < MAX_HEADING_ERROR:
+        state.covariance.propagate(robot.slot, np.eye(3), (factor - 1.0) * relative)
