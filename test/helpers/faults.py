@@ -46,6 +46,11 @@ def shifted(entry, seconds, log=False):
     entry.logged += round(seconds * NS) if log else 0
 
 
+def in_whole_seconds(entry):
+    """Drop the fraction of the stamp of an entry."""
+    entry.message.header.stamp.nanosec = 0
+
+
 def out_of_order(topic):
     """Return a fault that swaps the stamps of every tenth message of a topic and the next one."""
     def plant(found):

@@ -35,11 +35,18 @@ from fej_slam_ros.ros.topic_types import expected_topics, OBSERVATION_TOPICS
 EFFECTS_OF_TIME_JUMPS = {
     'delayed', 'stamps_go_back', 'clock_drift', 'clock_skew', 'clock_offset'}
 
+#: Findings that stamps in coarse steps explain, and more of them if they are an error.
+EFFECTS_OF_COARSE_STAMPS = {RejectionReason.CONFLICTING.value, RejectionReason.DUPLICATE.value}
+EFFECTS_OF_WRONG_STAMPS = {
+    RejectionReason.LATE.value, 'delayed', 'clock_skew', 'slow_odometry', 'slow_scans',
+    'sensor_time'}
+
 #: Findings that any error may explain.
 EFFECTS_OF_ERRORS = {RejectionReason.NOT_JOINED.value, 'restarted'}
 
-#: Findings on observations that explain why these fit nothing, and what they explain.
-FAULTS_OF_OBSERVATIONS = {team.EXCHANGED_TOPICS, sensors.DOES_NOT_MOVE, sensors.BEARINGS}
+#: Errors of observations or stamps after which observations fit nothing, and what they explain.
+FAULTS_OF_OBSERVATIONS = {
+    team.EXCHANGED_TOPICS, sensors.DOES_NOT_MOVE, sensors.BEARINGS, timing.COARSE_STAMPS}
 EFFECTS_OF_OBSERVATIONS = {
     'never_joins', 'does_not_fit', 'contradicted_id', 'inconsistent_noise'}
 
@@ -138,12 +145,17 @@ def _other_settings(given: Settings) -> Iterator[tuple[Finding, Settings]]:
 def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
     """Yield the findings on a number of robots that no other one explains."""
     names = Counter(finding.name for finding in findings)
+    errors = {finding.name for finding in findings if finding.severity is Severity.ERROR}
     explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in names else set()
+    if timing.COARSE_STAMPS in names:
+        explained |= EFFECTS_OF_COARSE_STAMPS
+    if timing.COARSE_STAMPS in errors:
+        explained |= EFFECTS_OF_WRONG_STAMPS
     if names['no_landmarks'] == robots:
         explained |= EFFECTS_OF_NO_LANDMARKS
-    if FAULTS_OF_OBSERVATIONS & names.keys():
+    if FAULTS_OF_OBSERVATIONS & errors:
         explained |= EFFECTS_OF_OBSERVATIONS
-    if any(finding.severity is Severity.ERROR for finding in findings):
+    if errors:
         explained |= EFFECTS_OF_ERRORS
     # A detector that rejects all scans of a robot writes no landmarks.
     explained_at = {

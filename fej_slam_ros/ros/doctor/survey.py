@@ -76,6 +76,10 @@ class OdometrySeries(TopicSeries):
             np.column_stack([stamps[:-1], stamps[1:]]),
             np.column_stack([np.hypot(steps[:, 0], steps[:, 1]), turned]))
 
+    def positions(self) -> tuple[Stamps, Array]:
+        """Return stamps and positions as recorded, (n,) [ns] and (n, 2)."""
+        return np.array(self.stamps, np.int64), np.array(self.poses).reshape(-1, 3)[:, :2]
+
     def ordered(self) -> tuple[Stamps, Array]:
         """Return the stamps (n,) [ns] of the valid poses in order, each once, and these (n, 3)."""
         stamps, first = np.unique(np.array(self.stamps, np.int64), return_index=True)
@@ -119,6 +123,15 @@ class ObservationSeries(TopicSeries):
         with np.errstate(over='ignore', invalid='ignore'):
             self.ranges.append(np.hypot(x, y))
         self.variances.append(np.column_stack([var_x, var_y]))
+
+    def positions(self) -> tuple[Stamps, Array]:
+        """Return stamps (n,) [ns] and ranges (n, 1) of the ID that is observed most often."""
+        (id_, _), *_ = self.id_counts().most_common(1) or [(NO_ID, 0)]
+        rows = [
+            (stamp, r) for stamp, ids, ranges in zip(self.stamps, self.ids, self.ranges)
+            for r in ranges[ids == id_]]
+        stamps = np.array([stamp for stamp, _ in rows], np.int64)
+        return stamps, np.array([r for _, r in rows]).reshape(-1, 1)
 
     def id_counts(self) -> Counter[int]:
         """Return the number of observations of each ID."""

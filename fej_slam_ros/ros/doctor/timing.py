@@ -11,10 +11,12 @@ import numpy as np
 from fej_slam_ros.core.geometry import Stamps
 from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
+from fej_slam_ros.core.ordering.coarse_stamps import coarse_step
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, seconds, warning
-from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
+from fej_slam_ros.ros.doctor.survey import (
+    ObservationSeries, OdometrySeries, Survey, TopicSeries)
 
 #: Lower bound of a gap, in median periods: three messages in a row are lost.
 GAP_PERIODS = 3.5
@@ -37,6 +39,7 @@ SLOW_SCANS = 3.0
 SLOWER_THAN_SCANS = 1.5
 #: Maximum number of steps back whose cause is looked for: two publishers on a topic make more.
 MAX_STEPS_BACK = 100
+COARSE_STAMPS = 'coarse_stamps'
 #: Causes and cures of stamps that step back, which only regular odometry distinguishes.
 PASSED_TWICE = (
     ', to a time that was recorded before: its clock was set back, or recordings were joined',
@@ -52,6 +55,7 @@ def check(survey: Survey, settings: CommonSettings) -> Iterator[Finding]:
     """Yield problems of the stamps of single topics."""
     for name, series in survey.topics.items():
         yield from _order(name, series, settings)
+        yield from _coarse(name, series)
     moving = survey.moving(settings)
     for robot in settings.robots:
         stamps = survey.odometry(robot.name).stamps
@@ -92,6 +96,20 @@ def _order(name: str, topic: TopicSeries, settings: CommonSettings) -> Iterator[
             'stamps_go_back', name,
             f'{len(back)} messages have an earlier stamp than the one recorded before, by up to'
             f' {seconds(largest)}{cause}', cure, len(back), int(stamps[back[0] + 1]))
+
+
+def _coarse(name: str, topic: OdometrySeries | ObservationSeries) -> Iterator[Finding]:
+    step = coarse_step(*topic.positions())
+    if step is not None:
+        shared = len(topic.stamps) - len(topic.times())
+        is_odometry = isinstance(topic, OdometrySeries)
+        yield error_if(NS / step < SUFFICIENT_RATE and not name.endswith('/ground_truth'))(
+            COARSE_STAMPS, name,
+            f'{shared} of {len(topic.stamps)} messages have the stamp of another, in steps of'
+            f' {seconds(step)}, while the robot drives on: their times are wrong by up to a step'
+            + (', and only the first one at each is used' if is_odometry else ''),
+            'record header.stamp with nanoseconds; export tables with all digits of the time',
+            shared)
 
 
 def _rate(

@@ -13,9 +13,9 @@ from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
 from fej_slam_ros.ros.session.rejection_cures import CURES
 from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, exchanged, floating_ids, framed,
-    in_degrees, in_map, kept, looped, moved, NS, of_type_pose, out_of_order, planted,
-    recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose, with_poses,
-    without)
+    in_degrees, in_map, in_whole_seconds, kept, looped, moved, NS, of_type_pose, out_of_order,
+    planted, recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose,
+    with_poses, without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
@@ -282,6 +282,18 @@ def test_a_planted_fault_is_found_with_its_cure(doctor, tmp_path, fault):
     assert status in {None, got}
     assert has_finding(found, *expected)
     assert all(f['cure'] for f in found)
+
+
+@pytest.mark.parametrize('coarse', [['r1/odom', 'r1/landmarks'], ['r1/odom'], ['r1/landmarks']])
+def test_stamps_in_whole_seconds_are_named_and_not_what_they_cause(doctor, tmp_path, coarse):
+    plant = each(' '.join(coarse), in_whole_seconds)
+    path = planted(tmp_path / 'faulty', plant(entries(C)))
+
+    status, found, _ = doctor(path, '--params', BAGS / f'{C}.yaml')
+
+    assert status == 1
+    assert [(f['name'], f['where']) for f in found] == [
+        ('coarse_stamps', topic) for topic in coarse]
 
 
 @pytest.mark.parametrize('fault', [
