@@ -13,8 +13,11 @@ from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
+import numpy as np
+
 from fej_slam_ros.cli.converters.common import add_paths, write
-from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, TruePose
+from fej_slam_ros.core.ordering.coarse_stamps import coarse_step
+from fej_slam_ros.core.records import NS, Odometry, Record, RobotScan, Scan, TruePose
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import csv_tables
 
@@ -40,5 +43,13 @@ def _report(records: Iterable[Record], settings: Settings) -> Iterator[str]:
     for robot in sorted({robot for robot, _ in counts}):
         yield f'{robot}: ' + ', '.join(
             f'{kind}: {counts[robot, kind]}' for kind in kinds.values() if counts[robot, kind])
+        odometry = [r for r in records if isinstance(r, Odometry) and r.robot == robot]
+        step = coarse_step(
+            np.array([record.stamp for record in odometry]),
+            np.array([record.pose[:2] for record in odometry]).reshape(-1, 2))
+        if step is not None:
+            yield (
+                f'    stamps of odometry are in steps of {step / NS:g} s and have several poses'
+                ' each, of which only the first is used: export the time with all its digits')
     x, y, phi = settings.anchor_pose
     yield f'start of {settings.anchor}, the anchor: ({x:.3f} m, {y:.3f} m, {phi:.3f} rad) in map'

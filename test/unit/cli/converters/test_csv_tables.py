@@ -43,6 +43,16 @@ def test_tables_of_a_user_run_with_the_parameters_beside_the_bag(convert, tmp_pa
     assert state.estimate(state.robots['red']) == pytest.approx([2.0, 0.0, 0.0], abs=1e-9)
 
 
+@pytest.mark.parametrize(('written', 'said_so'), [(int, True), (float, False)])
+def test_times_without_their_decimals_are_named(convert, written, said_so):
+    rows = ''.join(f'red,{written(0.5 * k)},{k},0,0\n' for k in range(20))
+
+    status, said, _ = convert(odometry='robot,time,x,y,yaw\n' + rows)
+
+    assert status == 0
+    assert ('in steps of 1 s and have several poses each' in said) == said_so
+
+
 def test_a_name_that_cannot_be_a_topic_is_refused_before_a_bag_is_written(convert, tmp_path):
     assert_one_sentence(
         convert(odometry=ODOMETRY.replace('red', 'robot 1')), 2, "'robot 1'", "'robot_1'")
