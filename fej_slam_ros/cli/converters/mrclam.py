@@ -24,7 +24,8 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, noise, run_settings
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, MAX_COMMAND_HOLD, range_increase, robot_name)
-from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS
+from fej_slam_ros.datasets.mrclam.files import (
+    MrclamSet, REPLACED_COMMAND, ROBOT_SUBJECTS, RobotLog)
 from fej_slam_ros.errors import UsageError, UserError
 
 SUMMARY = 'MRCLAM, five robots and their motion capture'
@@ -33,6 +34,8 @@ SUMMARY = 'MRCLAM, five robots and their motion capture'
 REPORTED_GAP = 0.4
 #: Share of the time without a command in force above which it is reported.
 REPORTED_UNKNOWN_SHARE = 0.2
+#: Minimum number of observations whose stamps are whole seconds by no chance.
+MIN_WHOLE_SECONDS = 10
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -165,7 +168,21 @@ def _report(
                 f'    for {share:.0%} of the time the last command is older than'
                 f' {MAX_COMMAND_HOLD / NS:g} s, and the motion unknown: repeat commands that were'
                 ' recorded on change only')
+        yield from _lost_decimals(log)
         yield from _counted(log.counts + rejected[robot])
+
+
+def _lost_decimals(log: RobotLog) -> Iterator[str]:
+    commands, observed = log.commands.stamps, log.observations.stamps
+    in_whole_seconds = len(observed) >= MIN_WHOLE_SECONDS and not (observed % NS).any()
+    if log.counts[REPLACED_COMMAND] > len(commands):
+        yield (
+            '    most commands have the stamp of another, and only the last one at each is used:'
+            ' export times with all their decimals')
+    elif in_whole_seconds and (commands % NS).any():
+        yield (
+            '    stamps of observations are whole seconds, those of commands are not: if their'
+            ' decimals were lost, observations are wrong by the motion in a second')
 
 
 def _counted(counts: Counter[str]) -> Iterator[str]:

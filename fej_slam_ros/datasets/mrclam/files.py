@@ -42,6 +42,7 @@ MAX_DISTANCE = 24 * 3600 * NS
 #: Maximum number of successive commands whose stamps are damaged; more are of another clock.
 MAX_STRAYS = 10
 FAR_STAMP = 'stamp far from those of other rows'
+REPLACED_COMMAND = 'command replaced at its own stamp'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,7 +194,7 @@ def _checked(log: RobotLog, ordered: ClockPart) -> RobotLog:
     """Return a log of ordered rows, one command at each stamp and one observation of a subject."""
     commands, counts = ordered.commands, log.counts
     replaced = np.diff(commands.stamps, append=LAST_SECOND * NS) == 0
-    commands = drop(commands, replaced, 'command replaced at its own stamp', counts)
+    commands = drop(commands, replaced, REPLACED_COMMAND, counts)
     return replace(
         log, commands=commands, observations=_once_in_scan(ordered.observations, counts),
         truth=without_slips(log.truth, commands, counts), clock_changes=ordered.clock_changes)

@@ -38,6 +38,20 @@ def test_commands_that_were_recorded_on_change_only_are_named(
     assert ('for 100% of the time the last command is older than 2 s' in said) == said_so
 
 
+@pytest.mark.parametrize(('commands', 'observations', 'sentences'), [
+    (round, float, ['most commands have the stamp of another']),
+    (float, round, ['stamps of observations are whole seconds']),
+    (float, float, [])])
+def test_stamps_without_their_decimals_are_named(
+        convert_mrclam, bag, commands, observations, sentences):
+    _, said, _ = convert_mrclam(
+        '--output', bag,
+        Robot1_Odometry=[(commands(100 + 0.25 * k), 0.1, 0.01 * k) for k in range(80)],
+        Robot1_Measurement=[(observations(101 + 1.1 * k), 7, 2.0, 0.5) for k in range(15)])
+
+    assert re.findall('    ([a-z ]*stamps? of [a-z ]+)', said) == sentences
+
+
 def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mrclam, bag):
     status, said, _ = convert_mrclam(
         '--output', bag, '--motion-delay', 0,
