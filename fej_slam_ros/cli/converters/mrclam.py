@@ -13,6 +13,7 @@ from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 
@@ -22,6 +23,8 @@ from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, noise, run_settings
+from fej_slam_ros.datasets.mrclam.camera_errors import MAX_CAMERA_DELAY
+from fej_slam_ros.datasets.mrclam.command_errors import MAX_MOTION_DELAY
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, MAX_COMMAND_HOLD, range_increase, robot_name)
 from fej_slam_ros.datasets.mrclam.files import (
@@ -36,6 +39,8 @@ REPORTED_GAP = 0.4
 REPORTED_UNKNOWN_SHARE = 0.2
 #: Minimum number of observations whose stamps are whole seconds by no chance.
 MIN_WHOLE_SECONDS = 10
+#: Distance of a measured delay from the end of its search [s] up to which the true one is beyond.
+END_OF_SEARCH = 0.02
 
 
 def add_arguments(parser: ArgumentParser) -> None:
@@ -104,7 +109,7 @@ def convert(arguments: Namespace) -> None:
     settings = run_settings.settings(data, options, arguments.known_starts)
     write(
         conversion.records(data, options, rejected), settings, arguments,
-        _report(data, options, settings, rejected))
+        chain(_report(data, options, settings, rejected), _long_delays(data, options, arguments)))
 
 
 def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
@@ -183,6 +188,20 @@ def _lost_decimals(log: RobotLog) -> Iterator[str]:
         yield (
             '    stamps of observations are whole seconds, those of commands are not: if their'
             ' decimals were lost, observations are wrong by the motion in a second')
+
+
+def _long_delays(
+    data: MrclamSet, options: ConversionOptions, arguments: Namespace
+) -> Iterator[str]:
+    if not noise.is_measurable(data):
+        return
+    for what, given, delay, limit in (
+            ('motion', arguments.motion_delay, options.motion_delay, MAX_MOTION_DELAY),
+            ('camera', arguments.camera_delay, options.camera_delay, MAX_CAMERA_DELAY)):
+        if given is None and abs(delay) > limit - END_OF_SEARCH:
+            yield (
+                f'the measured {what} delay, {delay:.1f} s, is the longest that is searched for:'
+                ' check the clocks of ground truth, commands and observations')
 
 
 def _counted(counts: Counter[str]) -> Iterator[str]:

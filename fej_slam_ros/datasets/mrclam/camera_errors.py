@@ -25,10 +25,11 @@ RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
 #: Gain of the log-likelihood by a constant part of that noise from which there is one: of three
 #: standard deviations, 4.5, for errors that persist over ten observations.
 MIN_GAIN = 45.0
-#: Begins of the intervals in each of which the delay of cameras is sought, as the fit has several
-#: minima, their length, and the standard deviation of the delay where no robot turns [s]. Against
+#: Longest delay of cameras, length of the intervals in each of which it is sought, as the fit has
+#: several minima, and the standard deviation of the delay where no robot turns [s]. Against
 #: ground truth that is stamped late, delays are negative.
-DELAY_BEGINS, DELAY_INTERVAL, CAMERA_DELAY_SIGMA = (-0.2, 0.0, 0.2, 0.4), 0.2, 0.05
+MAX_CAMERA_DELAY, DELAY_INTERVAL, CAMERA_DELAY_SIGMA = 0.6, 0.2, 0.05
+DELAY_BEGINS = -0.6, -0.4, -0.2, 0.0, 0.2, 0.4
 
 
 def bearing_offsets(

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """`convert mrclam`: bags with their parameters, and tables of measured noise."""
 
+import math
 import re
 
 import numpy as np
@@ -116,6 +117,24 @@ def test_ground_truth_of_another_clock_is_said(convert_mrclam, bag, late, said_s
     assert status == 0
     sentence = 'true poses do not follow the commands, the correlation of turns is'
     assert (sentence in said) == said_so
+
+
+@pytest.mark.parametrize(('late', 'delays'), [(0.4, []), (0.9, ['motion', 'camera'])])
+def test_delays_at_the_end_of_their_search_are_said(convert_mrclam, bag, late, delays):
+    rng = np.random.default_rng(1)
+    times = 100.0 + np.arange(0.0, 120.0, 0.05)
+    turn_rates = np.repeat(rng.uniform(-0.5, 0.5, 60), 40)
+    turned = np.cumsum(0.05 * turn_rates) - 0.05 * turn_rates
+    # Landmark 8 is ahead by 2 m and to the left by 1 m of a robot that only turns.
+    bearings = np.angle(np.exp(1j * (math.atan2(1, 2) - turned)))
+
+    _, said, _ = convert_mrclam(
+        '--output', bag,
+        Robot1_Odometry=[(t, 0.0, w) for t, w in zip(times, turn_rates)],
+        Robot1_Measurement=[(t, 7, math.sqrt(5), b) for t, b in zip(times[::10], bearings[::10])],
+        Robot1_Groundtruth=[(t + late, 0.0, 0.0, phi) for t, phi in zip(times, turned)])
+
+    assert re.findall('the measured ([a-z]+) delay, .* longest', said) == delays
 
 
 def test_a_converted_set_runs_with_its_parameters(convert_mrclam, bag):

@@ -200,7 +200,8 @@ def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
 
 
 # Below zero, it is the ground truth that is late.
-@pytest.mark.parametrize('late_by', [-80_000_000, 60_000_000, 300_000_000, 500_000_000])
+@pytest.mark.parametrize('late_by', [
+    -500_000_000, -300_000_000, -80_000_000, 60_000_000, 300_000_000, 500_000_000])
 def test_the_delay_of_a_camera_is_measured_and_removed(synthetic, late_by):
     log = synthetic.logs[1]
     late = replace(log, observations=log.observations.shifted(late_by))
