@@ -28,23 +28,25 @@ def check(survey: Survey, settings: CommonSettings, clock_limit: float) -> Itera
     """Yield differences between the clocks of robots, topics and recorder."""
     moving = survey.moving(settings)
     if moving:
-        yield from _spans(moving)
+        yield from _spans(moving, settings)
         yield from _offsets(moving, settings, clock_limit)
         yield from _drifts(moving, settings)
         yield from _delays(survey, moving, settings)
 
 
-def _spans(robots: Mapping[str, TopicSeries]) -> Iterator[Finding]:
+def _spans(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iterator[Finding]:
     """Yield robots that share no time with the others, or miss much of it."""
+    delays = [_median_delay(topic) for topic in robots.values()]
+    is_skewed = max(delays) - min(delays) > settings.max_delay * NS
     spans = {name: topic.span() for name, topic in robots.items()}
     begin, end = (median(span[k] for span in spans.values()) for k in (0, 1))
     for name, (first, last) in spans.items():
-        others = [span for other, span in spans.items() if other != name]
-        if others and all(last < other[0] or first > other[1] for other in others):
-            yield error(
+        if _is_alone(name, robots):
+            yield error_if(is_skewed)(
                 'no_overlap', f'{name}/odom',
                 f'its stamps, from {seconds(first)} to {seconds(last)}, overlap with those of no'
-                ' other robot', SYNCHRONISE, stamp=first)
+                ' other robot: its clock is wrong, or it drove at another time',
+                f'{SYNCHRONISE}; if robots drove one after another, nothing', stamp=first)
             continue
         for missed, event, stamp in (
                 (first - begin, 'begins {} after', first), (end - last, 'ends {} before', last)):
@@ -53,6 +55,13 @@ def _spans(robots: Mapping[str, TopicSeries]) -> Iterator[Finding]:
                     'silent', f'{name}/odom', f'it {event.format(seconds(missed))} the others',
                     'check the clock of the robot, and that it was on for the whole run',
                     stamp=stamp)
+
+
+def _is_alone(name: str, robots: Mapping[str, TopicSeries]) -> bool:
+    """Return whether the stamps of a robot overlap with those of none of the others."""
+    first, last = robots[name].span()
+    others = [topic.span() for other, topic in robots.items() if other != name]
+    return bool(others) and all(last < other[0] or first > other[1] for other in others)
 
 
 def _offsets(
@@ -100,6 +109,7 @@ def _shifts(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iter
         first, last = topic.span()
         late = first - begin
         is_shifted = abs(late - (last - end)) < topic.period()
+        is_shifted &= not _is_alone(name, robots)
         if is_shifted and abs(late) > settings.stale_after * NS:
             yield warning(
                 'clock_skew', f'{name}/odom',

@@ -33,6 +33,24 @@ def test_of_three_clocks_the_one_that_differs_is_named(wrong, offset):
     assert [(finding.name, finding.where) for finding in found] == [('clock_skew', wrong)]
 
 
+@pytest.mark.parametrize(('ahead', 'found'), [
+    (0.0, [('no_overlap', 'warning')] * 3),
+    (60.0, [('no_overlap', 'error')] * 3 + [('clock_skew', 'error')])])
+def test_robots_that_drive_one_after_another_cost_nothing_if_their_clocks_agree(ahead, found):
+    begins = {'r1': 0, 'r2': 1000, 'r3': 3000}
+    logged = np.arange(0, 10 * NS, NS // 10)
+    survey = Survey()
+    survey.topics |= {
+        f'{robot}/odom': OdometrySeries(
+            (logged + begin * NS + round(ahead * NS) * (robot == 'r3')).tolist(),
+            (logged + begin * NS).tolist())
+        for robot, begin in begins.items()}
+
+    findings = [*check(survey, team(*begins), clock_limit=1.0)]
+
+    assert [(finding.name, finding.severity.value) for finding in findings] == found
+
+
 @pytest.mark.parametrize(('offset', 'found'), [
     (0.05, []), (0.3, ['warning']), (0.5, ['error'])])
 def test_clocks_that_differ_are_named_also_where_max_delay_waits_for_slow_detectors(offset, found):
