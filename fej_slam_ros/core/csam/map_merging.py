@@ -26,7 +26,8 @@ from fej_slam_ros.core.csam.rendezvous import (
     RobotPair)
 from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.csam.shared_landmarks import (
-    align_by_landmarks, contradicting_landmarks, LandmarkAlignment, variance_factor)
+    align_by_landmarks, aligned_but_for_scale, contradicting_landmarks, LandmarkAlignment,
+    variance_factor)
 from fej_slam_ros.core.csam.slips import explained_loops, MIN_PER_LINK, ReleasedOdometry
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
@@ -215,7 +216,7 @@ class _MapMerger:
         with fewer observations of them.
 
         """
-        joined = self._joined(p, q, aligned.base_node)
+        joined = self._joined_in_any_scale(p, q, aligned)
         if not isinstance(joined, JoinFailure):
             return joined
         d2 = contradicting_landmarks(p, q, self._rules)
@@ -230,11 +231,24 @@ class _MapMerger:
         without = align_by_landmarks(p, q, self._rules.min_shared)
         if isinstance(without, JoinFailure):
             return joined
-        again = self._joined(p, q, without.base_node)
+        again = self._joined_in_any_scale(p, q, without)
         if not isinstance(again, JoinFailure):
             for robot, outliers in (outliers_p | outliers_q).items():
                 self.landmark_outliers[robot] += outliers
         return again
+
+    def _joined_in_any_scale(
+        self, p: JointMap, q: JointMap, aligned: LandmarkAlignment
+    ) -> JointMap | JoinFailure:
+        """Return the joined maps, also if they contradict each other in their scale."""
+        joined = self._joined(p, q, aligned.base_node)
+        if isinstance(joined, JoinFailure) and (
+                scaled := aligned_but_for_scale(p, q, self._rules)):
+            try:
+                return merged(p, q, scaled.base_node).solved()
+            except NoMinimumError:
+                return joined
+        return joined
 
     def _joined_by_rendezvous(
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous

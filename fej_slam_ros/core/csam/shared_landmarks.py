@@ -29,6 +29,9 @@ MAX_ALIGNMENT_SIGMA = 0.1
 ALIGNMENT_STEPS = 5
 #: Minimum and maximum number of pairs of maps from which the noise between maps is estimated.
 MIN_MAP_PAIRS, MAX_MAP_PAIRS = 3, 15
+#: Largest factor between the lengths of two maps: ranges that are 5 % too long for one robot and
+#: 5 % too short for the other.
+MAX_SCALE = 1.1
 
 
 class LandmarkAlignment(NamedTuple):
@@ -39,12 +42,19 @@ class LandmarkAlignment(NamedTuple):
     chi_square: float
     dof: int
     P: Array  #: (3, 3) array, covariance of the base node
+    scale: float = 1.0  #: lengths in the first map relative to those in the second one
 
 
 def align_by_landmarks(
-    p: JointMap, q: JointMap, min_shared: int, without: Collection[LandmarkKey] = ()
+    p: JointMap, q: JointMap, min_shared: int, without: Collection[LandmarkKey] = (),
+    *, with_scale: bool = False,
 ) -> LandmarkAlignment | JoinFailure:
-    """Return the base node that aligns the landmarks with a common key, but for some of them."""
+    """
+    Return the base node that aligns the landmarks with a common key, but for some of them.
+
+    The scale is 1, or the one that aligns them best.
+
+    """
     index_p, index_q = p.landmark_index(), q.landmark_index()
     shared = sorted((index_p.keys() & index_q.keys()).difference(without))
     if len(shared) < min_shared:
@@ -61,11 +71,33 @@ def align_by_landmarks(
         return JoinFailure(
             f'cannot align: the heading sigma by {len(shared)} shared landmarks is'
             f' {heading_sigma:.2f} rad, {MAX_ALIGNMENT_SIGMA} is needed')
-    base_node = rigid_fit(points_q, points_p, weights)
+    base_node, scale = rigid_fit(points_q, points_p, weights), 1.0
+    unknowns = 4 if with_scale else 3
     for _ in range(ALIGNMENT_STEPS):
-        chi_square, step, P = _step(base_node, points_p, points_q, P_p, P_q)
-        base_node = base_node + step
-    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - 3, P)
+        chi_square, step, P = _step(
+            base_node, points_p, scale * points_q, P_p, scale ** 2 * P_q, unknowns)
+        base_node = base_node + step[:3]
+        scale *= float(np.exp(step[3:].sum()))
+        if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
+            return JoinFailure(f'cannot align: the scales differ by more than {MAX_SCALE:g}')
+    return LandmarkAlignment(
+        base_node, chi_square, 2 * len(shared) - unknowns, P[:3, :3], scale)
+
+
+def aligned_but_for_scale(
+    p: JointMap, q: JointMap, rules: JoinRules
+) -> LandmarkAlignment | None:
+    """
+    Return the alignment of maps that contradict each other in nothing but a small scale.
+
+    Systematic errors of ranges, or of odometry, make a map a few per cent too large or too small
+    all over, by far more than its covariance.
+
+    """
+    aligned = align_by_landmarks(p, q, rules.min_shared, with_scale=True)
+    if isinstance(aligned, JoinFailure) or rules.inconsistency(aligned.chi_square, aligned.dof):
+        return None
+    return aligned
 
 
 def contradicting_landmarks(
@@ -164,13 +196,19 @@ def _pairs(count: int) -> Iterator[tuple[int, int]]:
 
 
 def _step(
-    base_node: Array, points_p: Array, points_q: Array, P_p: Array, P_q: Array
+    base_node: Array, points_p: Array, points_q: Array, P_p: Array, P_q: Array, unknowns: int
 ) -> tuple[float, Array, Array]:
-    """Return chi-square at a base node, the Gauss-Newton step (3,) and its covariance (3, 3)."""
+    """
+    Return chi-square at a base node, the Gauss-Newton step and its covariance.
+
+    The step is that of the base node or, with four unknowns, also of the logarithm of the scale.
+
+    """
     C = np.kron(np.eye(len(points_q)), rotation(base_node[2]))
     moved = transform(base_node, points_q)
     r = (points_p - moved).ravel()
-    J = np.vstack([models.F(d) for d in moved - base_node[:2]])
+    d = moved - base_node[:2]
+    J = np.column_stack([np.vstack([*map(models.F, d)]), d.ravel()])[:, :unknowns]
     weighted = np.linalg.solve(P_p + C @ P_q @ C.T, np.column_stack([r, J]))
     P = np.linalg.inv(J.T @ weighted[:, 1:])
     return float(r @ weighted[:, 0]), P @ (J.T @ weighted[:, 0]), P

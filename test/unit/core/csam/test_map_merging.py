@@ -14,7 +14,7 @@ from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS, Observation
-from fej_slam_ros.core.smoothing.factors import rows_of
+from fej_slam_ros.core.smoothing.factors import rows_of, Values
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 from helpers.core import central_differences, turn, wrapped
 from helpers.csam import in_another_frame, joined_maps, Met, true_base_node
@@ -361,3 +361,46 @@ def test_outliers_among_few_observations_cannot_be_identified():
 
     assert len(groups) == 2
     assert len(failed) == 1
+
+
+def scaled(local, scale):
+    """Return the map of a robot that measures all lengths too long or too short."""
+    problem, values, factor = local.problem, local.values, np.array([scale, scale, 1.0])
+    return replace(
+        local, values=Values(values.poses * factor, values.points * scale), problem=replace(
+            problem, odometry=replace(problem.odometry, z=problem.odometry.z * factor),
+            landmarks=replace(problem.landmarks, z=problem.landmarks.z * scale)))
+
+
+@pytest.mark.parametrize('scale', [0.94, 1.06])
+def test_maps_that_differ_in_nothing_but_a_small_scale_are_joined(scale):
+    team = Met(22, [], landmarks=12, shared=True)
+    p, q = team.maps
+
+    (joint,), failed, *_ = joined_maps([p, scaled(q, scale)], [])
+
+    assert failed == []
+    # The heading that a map of another scale has.
+    expected = true_base_node(team, 'r1', 'r2')
+    assert wrapped(base_nodes(joint)['r2'].pose[2] - expected[2]) == pytest.approx(0.0, abs=0.05)
+
+
+@pytest.mark.parametrize('scale', [0.8, 1.2])
+def test_maps_of_very_different_scales_are_not_joined(scale):
+    team = Met(22, [], landmarks=12, shared=True)
+    p, q = team.maps
+
+    groups, failed, *_ = joined_maps([p, scaled(q, scale)], [])
+
+    assert [group.robots for group in groups] == [('r1',), ('r2',)]
+    assert 'inconsistent' in failed[0].reason
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_maps_whose_ids_are_all_wrong_are_not_joined_in_any_scale(seed):
+    team = Met(seed, [], landmarks=5, shared=True)
+    p, q = team.maps
+
+    groups, *_ = joined_maps([p, replace(q, landmarks=(*q.landmarks[1:], q.landmarks[0]))], [])
+
+    assert len(groups) == 2
