@@ -19,9 +19,8 @@ MAX_OUTLYING = 0.2
 OUTLIER_D2 = float(chdtri(2, 1e-6))
 
 
-def farthest_points(a: Array, b: Array) -> list[int]:
-    """Return the rows of the points a, b (L, 2) that fit the others least, at most a share."""
-    most = int(MAX_OUTLYING * len(a))
+def farthest_points(a: Array, b: Array, most: int) -> list[int]:
+    """Return the rows of some of the points a, b (L, 2): those that fit the others least."""
     if not most:
         return []
     x, y = (points @ [1.0, 1.0j] for points in (a, b))

@@ -20,7 +20,7 @@ from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import Array, rigid_fit, rotation, transform
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.point_consensus import farthest_points
+from fej_slam_ros.core.point_consensus import farthest_points, MAX_OUTLYING
 from fej_slam_ros.core.records import LandmarkKey
 
 #: Largest heading sigma [rad] of an alignment; beyond it the iteration may start too far away.
@@ -29,6 +29,9 @@ MAX_ALIGNMENT_SIGMA = 0.1
 ALIGNMENT_STEPS = 5
 #: Minimum and maximum number of pairs of maps from which the noise between maps is estimated.
 MIN_MAP_PAIRS, MAX_MAP_PAIRS = 3, 15
+#: Largest share of the shared landmarks that may contradict the others, as people with IDs do, if
+#: these are at least so many: by chance, or because they have moved together, fewer would agree.
+MAX_MOVING, MIN_AGREEING = 0.45, 8
 #: Largest factor between the lengths of two maps: ranges that are 5 % too long for one robot and
 #: 5 % too short for the other.
 MAX_SCALE = 1.1
@@ -41,8 +44,6 @@ class LandmarkAlignment(NamedTuple):
     #: chi_square, dof: weighted squared distances of the landmarks, and degrees of freedom
     chi_square: float
     dof: int
-    P: Array  #: (3, 3) array, covariance of the base node
-    scale: float = 1.0  #: lengths in the first map relative to those in the second one
 
 
 def align_by_landmarks(
@@ -74,14 +75,13 @@ def align_by_landmarks(
     base_node, scale = rigid_fit(points_q, points_p, weights), 1.0
     unknowns = 4 if with_scale else 3
     for _ in range(ALIGNMENT_STEPS):
-        chi_square, step, P = _step(
+        chi_square, step = _step(
             base_node, points_p, scale * points_q, P_p, scale ** 2 * P_q, unknowns)
         base_node = base_node + step[:3]
         scale *= float(np.exp(step[3:].sum()))
         if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
             return JoinFailure(f'cannot align: the scales differ by more than {MAX_SCALE:g}')
-    return LandmarkAlignment(
-        base_node, chi_square, 2 * len(shared) - unknowns, P[:3, :3], scale)
+    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - unknowns)
 
 
 def aligned_but_for_scale(
@@ -106,7 +106,8 @@ def contradicting_landmarks(
     """
     Return the d2 of the shared landmarks that contradict the others.
 
-    The result is empty if they are too many, or if the others do not fit.
+    The result is empty if they are too many, if the others do not fit, or if many of them agree on
+    another place.
 
     """
     return _contradicting(p, q, *_aligned_without_farthest(p, q, rules.min_shared), rules)
@@ -120,18 +121,23 @@ def _contradicting(
     if not farthest or isinstance(aligned, JoinFailure) or (
             rules.inconsistency(aligned.chi_square, aligned.dof)):
         return {}
-    index_p, index_q = p.landmark_index(), q.landmark_index()
+    shared = p.landmark_index().keys() & q.landmark_index().keys()
+    # All landmarks of a map share the errors of its robots: what matters is the distance from
+    # where the others predict a landmark.
     d2 = {}
-    C = rotation(aligned.base_node[2])
     for key in farthest:
-        moved = transform(aligned.base_node, q.values.points[index_q[key]])
-        J = models.F(moved - aligned.base_node[:2])
-        P_p, P_q = (
-            joint_map.information().joint(points=[index[key]])
-            for joint_map, index in ((p, index_p), (q, index_q)))
-        r = p.values.points[index_p[key]] - moved
-        d2[key] = float(r @ np.linalg.solve(P_p + C @ P_q @ C.T + J @ aligned.P @ J.T, r))
-    return {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
+        with_it = align_by_landmarks(
+            p, q, rules.min_shared, [other for other in farthest if other != key])
+        if isinstance(with_it, LandmarkAlignment):
+            d2[key] = with_it.chi_square - aligned.chi_square
+    found = {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
+    if len(found) <= MAX_OUTLYING * len(shared):
+        return found
+    # So many that agree among themselves may as well be right, and the others have moved.
+    rival = align_by_landmarks(p, q, rules.min_shared, shared - found.keys())
+    is_rival = isinstance(rival, LandmarkAlignment) and not rules.inconsistency(
+        rival.chi_square, rival.dof)
+    return {} if is_rival else found
 
 
 def _aligned_without_farthest(
@@ -143,7 +149,9 @@ def _aligned_without_farthest(
     points_p, points_q = (
         joint_map.values.points[[index[key] for key in shared]]
         for joint_map, index in ((p, index_p), (q, index_q)))
-    farthest = [shared[k] for k in farthest_points(points_p, points_q)]
+    count = len(shared)
+    most = max(int(MAX_OUTLYING * count), min(int(MAX_MOVING * count), count - MIN_AGREEING))
+    farthest = [shared[k] for k in farthest_points(points_p, points_q, most)]
     return farthest, align_by_landmarks(p, q, min_shared, farthest)
 
 
@@ -197,9 +205,9 @@ def _pairs(count: int) -> Iterator[tuple[int, int]]:
 
 def _step(
     base_node: Array, points_p: Array, points_q: Array, P_p: Array, P_q: Array, unknowns: int
-) -> tuple[float, Array, Array]:
+) -> tuple[float, Array]:
     """
-    Return chi-square at a base node, the Gauss-Newton step and its covariance.
+    Return chi-square at a base node, and the Gauss-Newton step.
 
     The step is that of the base node or, with four unknowns, also of the logarithm of the scale.
 
@@ -210,5 +218,4 @@ def _step(
     d = moved - base_node[:2]
     J = np.column_stack([np.vstack([*map(models.F, d)]), d.ravel()])[:, :unknowns]
     weighted = np.linalg.solve(P_p + C @ P_q @ C.T, np.column_stack([r, J]))
-    P = np.linalg.inv(J.T @ weighted[:, 1:])
-    return float(r @ weighted[:, 0]), P @ (J.T @ weighted[:, 0]), P
+    return float(r @ weighted[:, 0]), np.linalg.solve(J.T @ weighted[:, 1:], J.T @ weighted[:, 0])

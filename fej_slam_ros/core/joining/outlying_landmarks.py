@@ -17,7 +17,7 @@ from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import (
     determine_heading, fit, FrameFit, shared_variables, StackedVariables, Variables)
-from fej_slam_ros.core.point_consensus import farthest_points, OUTLIER_D2
+from fej_slam_ros.core.point_consensus import farthest_points, MAX_OUTLYING, OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 
 #: Numbers of shared variables between which a landmark that was observed once must not decide the
@@ -41,9 +41,11 @@ def outlying_landmarks(
     """
     shared = shared_variables(team, group)
     ours, theirs = ([v for v in variables if isinstance(v, Landmark)] for variables in shared)
-    points = (state.estimates_of(position_indices(landmarks))
-              for state, landmarks in ((team, ours), (group, theirs)))
-    farthest = [ours[k].key for k in farthest_points(*points)]
+    in_team, in_group = (
+        state.estimates_of(position_indices(landmarks))
+        for state, landmarks in ((team, ours), (group, theirs)))
+    most = int(MAX_OUTLYING * len(ours))
+    farthest = [ours[k].key for k in farthest_points(in_team, in_group, most)]
     found = _contradicting(team, group, farthest, tail)
     once = _observed_once(*shared)
     if found or len(shared[0]) - len(once) < MIN_SHARED:

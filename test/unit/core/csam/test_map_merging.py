@@ -404,3 +404,44 @@ def test_maps_whose_ids_are_all_wrong_are_not_joined_in_any_scale(seed):
     groups, *_ = joined_maps([p, replace(q, landmarks=(*q.landmarks[1:], q.landmarks[0]))], [])
 
     assert len(groups) == 2
+
+
+def displaced(local, rows, by):
+    """Return a map in which some landmarks were elsewhere all the time, (l, 2) further."""
+    problem, values = local.problem, local.values
+    points, z = values.points.copy(), problem.landmarks.z.copy()
+    points[rows] += by
+    for k, (pose, target) in enumerate(zip(problem.landmarks.pose, problem.landmarks.target)):
+        moved = points[target] - values.points[target]
+        z[k] += turn(values.poses[pose, 2]).T @ moved
+    return replace(
+        local, values=replace(values, points=points),
+        problem=replace(problem, landmarks=replace(problem.landmarks, z=z)))
+
+
+def test_two_in_five_landmarks_that_contradict_all_others_are_left_out():
+    team = Met(23, [], landmarks=18, shared=True)
+    p, q = team.maps
+    people = np.random.default_rng(1).uniform(-5.0, 5.0, (7, 2))
+
+    (joint,), failed, outliers, _ = joined_maps([p, displaced(q, range(11, 18), people)], [])
+
+    assert failed == []
+    left_out = {o.landmark for of_robot in outliers.values() for o in of_robot}
+    assert left_out == set(q.landmarks[11:18])
+    error = base_nodes(joint)['r2'].pose - true_base_node(team, 'r1', 'r2')
+    error[2] = wrapped(error[2])
+    # chi-square of 3 degrees of freedom is below 16.3 with probability 0.999.
+    assert error @ np.linalg.solve(base_nodes(joint)['r2'].P, error) < 16.3
+
+
+def test_maps_are_not_joined_if_two_in_five_landmarks_agree_on_another_place():
+    team = Met(23, [], landmarks=18, shared=True)
+    p, q = team.maps
+
+    groups, failed, outliers, _ = joined_maps(
+        [p, displaced(q, range(11, 18), np.array([2.0, 1.0]))], [])
+
+    assert [group.robots for group in groups] == [('r1',), ('r2',)]
+    assert 'inconsistent' in failed[0].reason
+    assert not outliers

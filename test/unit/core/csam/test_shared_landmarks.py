@@ -18,9 +18,9 @@ from fej_slam_ros.core.smoothing.factors import Values
 from helpers.csam import in_another_frame, Met, true_base_node
 
 
-def maps(seed, robots=3, noise=1.0):
+def maps(seed, robots=3, noise=1.0, landmarks=6):
     """Return the maps of a team that shares landmark IDs, each in its own frame."""
-    team = Met(seed, (), robots, noise=noise, shared=True)
+    team = Met(seed, (), robots, landmarks=landmarks, noise=noise, shared=True)
     return team, [JointMap.of(local) for local in team.maps]
 
 
@@ -131,3 +131,14 @@ def test_two_robots_cannot_distinguish_noise_from_a_wrong_map():
     _, of_team = maps(6, robots=2)
 
     assert variance_factor(of_team, 3) == 1.0
+
+
+def test_landmarks_that_contradict_all_others_do_not_change_the_factor():
+    _, of_team = maps(7, landmarks=18)
+    expected = variance_factor(of_team, 3)
+    for k, of_robot in enumerate(of_team):
+        points = of_robot.values.points.copy()
+        points[11:] += np.random.default_rng(k).uniform(-5.0, 5.0, (7, 2))
+        of_team[k] = replace(of_robot, values=replace(of_robot.values, points=points))
+
+    assert variance_factor(of_team, 3) < 1.3 * expected
