@@ -26,8 +26,8 @@ from fej_slam_ros.core.csam.rendezvous import (
     RobotPair)
 from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.csam.shared_landmarks import (
-    align_by_landmarks, aligned_but_for_scale, contradicting_landmarks, LandmarkAlignment,
-    variance_factor)
+    align_by_landmarks, aligned_but_for_scale, contradicting_landmarks,
+    cure_of_contradiction, LandmarkAlignment, variance_factor)
 from fej_slam_ros.core.csam.slips import explained_loops, MIN_PER_LINK, ReleasedOdometry
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
@@ -272,7 +272,12 @@ class _MapMerger:
         except NoMinimumError as error:
             return JoinFailure(f'cannot align: {error}')
         increase = joint.chi_square - (p.chi_square + q.chi_square)
-        return self._rules.inconsistency(increase, joint.dof - p.dof - q.dof) or joint
+        failure = self._rules.inconsistency(increase, joint.dof - p.dof - q.dof)
+        if failure is None:
+            return joint
+        # Wrong observations of robots leave no trace in the landmarks.
+        cure = '' if measurements else cure_of_contradiction(p, q)
+        return replace(failure, reason=failure.reason + cure)
 
 
 def _observations_of(joint: JointMap, keys: Mapping[LandmarkKey, float]) -> Counter[LandmarkKey]:

@@ -32,6 +32,9 @@ MIN_MAP_PAIRS, MAX_MAP_PAIRS = 3, 15
 #: Largest share of the shared landmarks that may contradict the others, as people with IDs do, if
 #: these are at least so many: by chance, or because they have moved together, fewer would agree.
 MAX_MOVING, MIN_AGREEING = 0.45, 8
+#: Largest distance between the shared landmarks of aligned maps, relative to their spread, at
+#: which systematic errors may be the cause of a contradiction: a wrong place is as far as a map.
+MAX_SYSTEMATIC = 0.1
 #: Largest factor between the lengths of two maps: ranges that are 5 % too long for one robot and
 #: 5 % too short for the other.
 MAX_SCALE = 1.1
@@ -100,6 +103,21 @@ def aligned_but_for_scale(
     return aligned
 
 
+def cure_of_contradiction(p: JointMap, q: JointMap) -> str:
+    """Return how to join maps that contradict each other a little all over, '' for other maps."""
+    points_p, points_q = _shared_points(p, q)[1:]
+    weights = np.ones(len(points_p))
+    moved = transform(rigid_fit(points_q, points_p, weights), points_q)
+    distance, spread = (
+        float(np.sqrt(np.square(d).sum(axis=1).mean()))
+        for d in (points_p - moved, points_p - points_p.mean(axis=0)))
+    if distance > MAX_SYSTEMATIC * spread:
+        return ''
+    return (
+        f'; the shared landmarks are {distance:.2f} m apart: if the sensors are no better than'
+        ' this, join_probability 1.0 joins the maps')
+
+
 def contradicting_landmarks(
     p: JointMap, q: JointMap, rules: JoinRules
 ) -> dict[LandmarkKey, float]:
@@ -144,15 +162,20 @@ def _aligned_without_farthest(
     p: JointMap, q: JointMap, min_shared: int
 ) -> tuple[list[LandmarkKey], LandmarkAlignment | JoinFailure]:
     """Return the shared landmarks that fit the others least, and the alignment by the others."""
-    index_p, index_q = p.landmark_index(), q.landmark_index()
-    shared = sorted(index_p.keys() & index_q.keys())
-    points_p, points_q = (
-        joint_map.values.points[[index[key] for key in shared]]
-        for joint_map, index in ((p, index_p), (q, index_q)))
+    shared, points_p, points_q = _shared_points(p, q)
     count = len(shared)
     most = max(int(MAX_OUTLYING * count), min(int(MAX_MOVING * count), count - MIN_AGREEING))
     farthest = [shared[k] for k in farthest_points(points_p, points_q, most)]
     return farthest, align_by_landmarks(p, q, min_shared, farthest)
+
+
+def _shared_points(p: JointMap, q: JointMap) -> tuple[list[LandmarkKey], Array, Array]:
+    """Return the keys of the shared landmarks (l), and their points (l, 2) in both maps."""
+    index_p, index_q = p.landmark_index(), q.landmark_index()
+    shared = sorted(index_p.keys() & index_q.keys())
+    return (
+        shared, p.values.points[[index_p[key] for key in shared]],
+        q.values.points[[index_q[key] for key in shared]])
 
 
 def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:

@@ -445,3 +445,16 @@ def test_maps_are_not_joined_if_two_in_five_landmarks_agree_on_another_place():
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
     assert 'inconsistent' in failed[0].reason
     assert not outliers
+
+
+@pytest.mark.parametrize(('squeeze', 'cure'), [
+    (0.06, True), (0.5, False)])
+def test_a_small_contradiction_all_over_the_map_names_the_parameter_that_joins(squeeze, cure):
+    team = Met(24, [], landmarks=12, shared=True)
+    p, q = team.maps
+    by = q.values.points * [squeeze, -squeeze]
+
+    groups, (failure,), *_ = joined_maps([p, displaced(q, range(12), by)], [])
+
+    assert len(groups) == 2
+    assert ('join_probability 1.0' in failure.reason) == cure
