@@ -33,5 +33,4 @@ class InnovationMonitor:
 
     def _add_observation_of_robot(self, a: Association, contradicts: bool) -> None:
         if isinstance(a.observed, Robot):
-            self.lost_robots.add_observation_of_robot(
-                a.observer.name, a.observed.name, contradicts)
+            self.lost_robots.by_others.add(a.observer.name, a.observed.name, contradicts)

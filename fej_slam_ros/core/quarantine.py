@@ -95,7 +95,7 @@ class Quarantine:
     def restart_contradicted(self, robots: Iterable[str], stamp: int) -> None:
         """Restart robots that others, whose landmarks confirm their poses, observe elsewhere."""
         for robot in robots:
-            observations = self._lost_robots.contradictions(robot)
+            observations = self._lost_robots.by_others.count(robot)
             if observations:
                 remove_untrusted(self._groups.of(robot).state, robot)
                 self._restart(

@@ -31,7 +31,7 @@ from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory, TeamMap
 from fej_slam_ros.core.data_association.failure_detection import (
-    LostRobot, LostRobotDetector, ScanEvidence)
+    ContradictionsByOthers, LostRobot, LostRobotDetector, ScanEvidence)
 from fej_slam_ros.core.data_association.landmark_manager import FieldOfView, LandmarkManager
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
@@ -81,7 +81,8 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate,
     ScanGateStatistics,
     Standard, FirstEstimates, Ideal, Invariant,
-    LandmarkManager, FieldOfView, LostRobotDetector, ScanEvidence, LostRobot, MapJoiner,
+    LandmarkManager, FieldOfView, LostRobotDetector, ContradictionsByOthers, ScanEvidence,
+    LostRobot, MapJoiner,
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
     Odometry, Scan, Observation, RobotScan, RobotObservation, PosePrior, TruePose, RendezvousKey,
     Rejection, RejectionReason, RobotSettings,

@@ -102,6 +102,36 @@ class LostRobot:
             self.probation -= 1
 
 
+class ContradictionsByOthers:
+    """Observations of robots that contradict their poses, by robots that know where they are."""
+
+    def __init__(self) -> None:
+        # Whether the latest scan of known landmarks of a robot confirms its pose, and how many
+        # observations in a row, by robots of which it does, contradict that of another.
+        self._confirmed: dict[str, bool] = {}
+        self._counts: Counter[str] = Counter()
+
+    def add_scan(self, robot: str, scan: ScanGateStatistics) -> None:
+        """Add a scan of a robot, if it has known landmarks."""
+        if scan.known:
+            self._confirmed[robot] = scan.confirms_pose()
+
+    def add(self, observer: str, observed: str, contradicts: bool) -> None:
+        """Add an observation of a robot, evidence if landmarks confirm the observer alone."""
+        if not contradicts or self._confirmed.get(observed):
+            self.forget(observed)
+        elif self._confirmed.get(observer):
+            self._counts[observed] += 1
+
+    def count(self, robot: str) -> int:
+        """Return how many observations in a row contradict a pose, 0 until they are enough."""
+        return self._counts[robot] if self._counts[robot] >= CONTRADICTIONS_BY_OTHERS else 0
+
+    def forget(self, robot: str) -> None:
+        """Forget the observations of a robot."""
+        self._counts.pop(robot, None)
+
+
 class LostRobotDetector:
     """
     Detects robots that are likely lost.
@@ -115,10 +145,7 @@ class LostRobotDetector:
     def __init__(self) -> None:
         self._evidence: dict[str, ScanEvidence] = {}
         self._lost: dict[str, LostRobot] = {}
-        # Whether the latest scan of known landmarks of a robot confirms its pose, and how many
-        # observations in a row, by robots of which it does, contradict that of another.
-        self._confirmed: dict[str, bool] = {}
-        self._contradictions: Counter[str] = Counter()
+        self.by_others = ContradictionsByOthers()  #: observations of robots, by other robots
         # Twice the number of scans that mostly failed the gate, less those that passed, or 0.
         self._gated: Counter[str] = Counter()
 
@@ -137,20 +164,7 @@ class LostRobotDetector:
                 self._gated[robot] = max(self._gated[robot] + change, 0)
             if robot in self._lost:
                 self._lost[robot].continue_probation(scan)
-            if scan.known:
-                self._confirmed[robot] = scan.confirms_pose()
-
-    def add_observation_of_robot(self, observer: str, observed: str, contradicts: bool) -> None:
-        """Add an observation of a robot, evidence if landmarks confirm the observer alone."""
-        if not contradicts or self._confirmed.get(observed):
-            self._contradictions.pop(observed, None)
-        elif self._confirmed.get(observer):
-            self._contradictions[observed] += 1
-
-    def contradictions(self, robot: str) -> int:
-        """Return how many observations in a row contradict a pose, 0 until they are enough."""
-        count = self._contradictions[robot]
-        return count if count >= CONTRADICTIONS_BY_OTHERS else 0
+            self.by_others.add_scan(robot, scan)
 
     def add_matches(self, robot: str, scan: ScanMatchStatistics) -> None:
         """Add a scan of observations without ID."""
@@ -194,7 +208,7 @@ class LostRobotDetector:
     def forget_scans(self, robot: str) -> None:
         """End the suspicion that a robot is lost."""
         self._evidence.pop(robot, None)
-        self._contradictions.pop(robot, None)
+        self.by_others.forget(robot)
 
     def is_suspected(self, robot: str) -> bool:
         """Return whether most of a scan of a robot failed, and those since have not cleared it."""

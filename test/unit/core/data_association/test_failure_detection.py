@@ -167,8 +167,8 @@ def test_others_contradict_a_pose_only_if_landmarks_confirm_theirs_and_not_this_
         lost = LostRobotDetector()
         lost.add({'r1': r1} if r2 is None else {'r1': r1, 'r2': r2})
         for k in range(12):
-            lost.add_observation_of_robot('r1', 'r2', contradicts=k not in passed)
-        return lost.contradictions('r2')
+            lost.by_others.add('r1', 'r2', contradicts=k not in passed)
+        return lost.by_others.count('r2')
 
     assert contradictions(confirmed, None) == 12
     assert contradictions(confirmed, contradicted) == 12
