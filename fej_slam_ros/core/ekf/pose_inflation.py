@@ -78,6 +78,7 @@ def _inflate(
     relative = P[:3, :3] - P[:3, 3:] @ np.linalg.lstsq(P[3:, 3:], P[3:, :3], rcond=None)[0]
     error = pose - state.pose(robot)
     error[2] = wrap(error[2])
-    factor = float(error @ np.linalg.solve(relative, error)) / len(error)
+    # A pose that is known exactly has no covariance.
+    factor = float(error @ np.linalg.lstsq(relative, error, rcond=None)[0]) / len(error)
     if factor > 1.0 and abs(error[2]) < MAX_HEADING_ERROR:
         state.covariance.propagate(robot.slot, np.eye(3), (factor - 1.0) * relative)

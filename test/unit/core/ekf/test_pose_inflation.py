@@ -22,7 +22,7 @@ SIGMA, NOISE = np.array([0.02, 0.02, 0.01]), 0.01
 SLIP = np.array([0.0, 0.0, 0.06])
 
 
-def scan(error, count=4, moved=None, ids=None):
+def scan(error, count=4, moved=None, ids=None, sigma=SIGMA):
     """
     Return a filter of one robot, and its scan after an error of its pose.
 
@@ -31,7 +31,7 @@ def scan(error, count=4, moved=None, ids=None):
 
     """
     state = JointState()
-    robot = state.insert_robot('r', 0, np.zeros(3), np.diag(SIGMA**2))
+    robot = state.insert_robot('r', 0, np.zeros(3), np.diag(sigma**2))
     landmarks = [
         state.augment(('', k), robot, point, np.zeros((2, 3)), 1e-12 * np.eye(2))
         for k, point in enumerate(POINTS[:count])]
@@ -96,7 +96,9 @@ def test_without_it_scan_after_scan_fails():
     (SLIP, {'count': 1}),
     # Half a turn of the robot explains the exchange of two.
     (np.zeros(3), {'count': 2, 'ids': [1, 0]}),
-], ids=['none', 'passes', 'lost', 'misfit', 'one', 'exchanged'])
+    # A pose that is known exactly, as that of an anchor, has no covariance to inflate.
+    (SLIP / 4.0, {'sigma': np.zeros(3)}),
+], ids=['none', 'passes', 'lost', 'misfit', 'one', 'exchanged', 'exact'])
 def test_the_covariance_stays_where_a_scan_does_not_show_that_the_pose_is_wrong(error, options):
     before, after = updated(*scan(error, **options))
 
