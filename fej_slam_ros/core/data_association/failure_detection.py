@@ -156,7 +156,7 @@ class LostRobotDetector:
             if scan.mostly_failed():
                 self._evidence[robot] = evidence.with_failed(scan)
             elif not evidence.misses_most and (scan.is_conclusive() or scan.confirms_pose()):
-                self.forget_scans(robot)
+                self._forget_contradictions(robot)
             elif evidence.failed:
                 self.add_inconclusive(robot)
             if scan.can_clear():
@@ -191,7 +191,6 @@ class LostRobotDetector:
     def restart(self, robot: str) -> None:
         """Begin the probation of a lost robot that restarts in its own frame."""
         self._lost[robot] = LostRobot(self.reason(robot) or '')
-        self._gated.pop(robot, None)
         self.forget_scans(robot)
 
     def mark_found(self, in_map: Container[str]) -> None:
@@ -201,12 +200,15 @@ class LostRobotDetector:
 
     def reset(self, robot: str) -> None:
         """Clear the evidence that a robot is lost."""
-        self._gated.pop(robot, None)
         self.forget_scans(robot)
         self._lost.pop(robot, None)
 
     def forget_scans(self, robot: str) -> None:
         """End the suspicion that a robot is lost."""
+        self._gated.pop(robot, None)
+        self._forget_contradictions(robot)
+
+    def _forget_contradictions(self, robot: str) -> None:
         self._evidence.pop(robot, None)
         self.by_others.forget(robot)
 

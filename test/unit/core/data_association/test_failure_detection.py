@@ -135,6 +135,18 @@ def test_a_slip_of_wheels_is_over_after_two_scans_in_a_row():
     assert not lost.is_suspected('r1')
 
 
+def test_after_ten_inconclusive_scans_a_robot_maps_again():
+    for scan in ScanGateStatistics(known=4, failed=4, gated=4), ScanGateStatistics(4, gated=4):
+        lost = LostRobotDetector()
+        lost.add({'r1': scan})
+
+        for _ in range(9):
+            lost.add_inconclusive('r1')
+        assert lost.is_suspected('r1')
+        lost.add_inconclusive('r1')
+        assert not lost.is_suspected('r1')
+
+
 def test_a_robot_on_probation_shows_by_itself_that_its_scans_fit():
     lost = LostRobotDetector()
     lost.restart('r1')
