@@ -19,8 +19,8 @@ LOST_AFTER = 3
 MIN_CONTRADICTIONS = 9
 MAX_FAILED_SCANS = 9
 
-#: Largest count of scans that mostly failed the gate, twice, less those that passed, after which
-#: the last of them may be due to a slip of wheels: that is over after two scans.
+#: Largest count of scans that mostly failed the gate without a contradiction, twice, less those
+#: that passed, after which the last may be due to a slip of wheels: that is over after two scans.
 MAX_GATED = 4
 
 #: Share of the landmarks without ID that should be in view that a lost robot misses.
@@ -146,7 +146,8 @@ class LostRobotDetector:
         self._evidence: dict[str, ScanEvidence] = {}
         self._lost: dict[str, LostRobot] = {}
         self.by_others = ContradictionsByOthers()  #: observations of robots, by other robots
-        # Twice the number of scans that mostly failed the gate, less those that passed, or 0.
+        # Twice the number of scans that mostly failed the gate without a contradiction, less those
+        # that passed, or 0.
         self._gated: Counter[str] = Counter()
 
     def add(self, statistics: StatisticsByRobot) -> None:
@@ -159,7 +160,7 @@ class LostRobotDetector:
                 self._forget_contradictions(robot)
             elif evidence.failed:
                 self.add_inconclusive(robot)
-            if scan.can_clear():
+            if scan.can_clear() and not scan.mostly_failed():
                 change = 2 if scan.mostly_gated() else -1
                 self._gated[robot] = max(self._gated[robot] + change, 0)
             if robot in self._lost:
