@@ -122,7 +122,7 @@ FAULTS = {
         R, each('p/robots', columns(id=lambda i: 1 + 0 * i)), 1, 'self_sighting', 'p/robots',
         'p.id'),
     'odometry covariance zero': (
-        C, each('r1/odom', twist_covariance(np.zeros_like)), 1, 'unknown_covariance', 'r1/odom',
+        C, each('r1/odom', twist_covariance(np.zeros_like)), 0, 'unknown_covariance', 'r1/odom',
         'odometry_sigma'),
     'observation covariance zero': (
         R, each('p/landmarks', columns(**dict.fromkeys(
