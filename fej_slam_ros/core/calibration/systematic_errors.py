@@ -58,7 +58,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
     for robot in settings.robots:
         motions = true_motions(team.odometry[robot.name], team.truth)
         if motions is not None:
-            odometry[robot.name], heading = _with_heading_error(motions, _given_odometry(robot))
+            odometry[robot.name], heading = _with_heading_error(motions, given_odometry(robot))
             if heading is not None:
                 headings[robot.name] = heading
     team = _team(with_corrected_headings(records, headings), settings)
@@ -99,7 +99,7 @@ def with_errors_by_landmarks(
         if robot.name not in found.by_truth:
             errors = fit_to_landmarks(team.odometry[robot.name], [
                 without_systematic_errors(scan, robot) for scan in team.scans[robot.name]],
-                _given_odometry(robot))
+                given_odometry(robot))
             if errors is not None:
                 by_landmarks[robot.name] = errors
     return replace(found, by_landmarks=by_landmarks)
@@ -120,7 +120,8 @@ def _team(records: Sequence[Received], settings: Settings) -> TeamRecords:
         (record for record, _ in records), [robot.name for robot in settings.robots])
 
 
-def _given_odometry(robot: RobotSettings) -> Array:
+def given_odometry(robot: RobotSettings) -> Array:
+    """Return the errors (3,) of odometry that the settings of a robot correct."""
     return np.array([*robot.odometry_scale, robot.odometry_turn_bias])
 
 

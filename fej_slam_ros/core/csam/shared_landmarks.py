@@ -97,7 +97,13 @@ def aligned_but_for_scale(
     all over, by far more than its covariance.
 
     """
-    aligned = align_by_landmarks(p, q, rules.min_shared, with_scale=True)
+    return _consistent(align_by_landmarks(p, q, rules.min_shared, with_scale=True), rules)
+
+
+def _consistent(
+    aligned: LandmarkAlignment | JoinFailure, rules: JoinRules
+) -> LandmarkAlignment | None:
+    """Return an alignment if there is one whose chi-square is within its limit."""
     if isinstance(aligned, JoinFailure) or rules.inconsistency(aligned.chi_square, aligned.dof):
         return None
     return aligned
@@ -136,8 +142,8 @@ def _contradicting(
     aligned: LandmarkAlignment | JoinFailure, rules: JoinRules,
 ) -> dict[LandmarkKey, float]:
     """Return `contradicting_landmarks` among the farthest ones, given the alignment by others."""
-    if not farthest or isinstance(aligned, JoinFailure) or (
-            rules.inconsistency(aligned.chi_square, aligned.dof)):
+    others = _consistent(aligned, rules)
+    if not farthest or others is None:
         return {}
     shared = p.landmark_index().keys() & q.landmark_index().keys()
     # All landmarks of a map share the errors of its robots: what matters is the distance from
@@ -147,15 +153,13 @@ def _contradicting(
         with_it = align_by_landmarks(
             p, q, rules.min_shared, [other for other in farthest if other != key])
         if isinstance(with_it, LandmarkAlignment):
-            d2[key] = with_it.chi_square - aligned.chi_square
+            d2[key] = with_it.chi_square - others.chi_square
     found = {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
     if len(found) <= MAX_OUTLYING * len(shared):
         return found
     # So many that agree among themselves may as well be right, and the others have moved.
     rival = align_by_landmarks(p, q, rules.min_shared, shared - found.keys())
-    is_rival = isinstance(rival, LandmarkAlignment) and not rules.inconsistency(
-        rival.chi_square, rival.dof)
-    return {} if is_rival else found
+    return found if _consistent(rival, rules) is None else {}
 
 
 def _aligned_without_farthest(

@@ -14,11 +14,12 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.special import chdtri
 
+from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Robot
-from fej_slam_ros.core.geometry import Array, perpendicular, poses_plus, rigid_fit, transform, wrap
-from fej_slam_ros.core.models import G
+from fej_slam_ros.core.geometry import Array, poses_plus, rigid_fit, rotation, transform
+from fej_slam_ros.core.models import F
 
 #: Probability with which a correct scan counts as one that fits the map nowhere.
 MISFIT_PROBABILITY = 1e-3
@@ -58,9 +59,8 @@ def _fitted_pose(state: JointState, scan: Sequence[Association]) -> Array | None
     z = np.array([observation.z for observation in observations])
     f = state.estimates_of(position_indices(landmarks))
     pose = rigid_fit(z, f)
-    C, expected = G(pose[2])[:2, :2], transform(pose, z)
-    D = np.hstack([
-        np.tile(np.eye(2), (len(z), 1)), perpendicular(expected - pose[:2]).reshape(-1, 1)])
+    C, expected = rotation(pose[2]), transform(pose, z)
+    D = np.vstack([*map(F, expected - pose[:2])])
     S = state.marginal(landmarks) + block_diag(*(C @ o.R @ C.T for o in observations))
     L = np.linalg.cholesky(S)
     y, H = (solve_triangular(L, rows, lower=True) for rows in ((f - expected).ravel(), D))
@@ -76,8 +76,7 @@ def _inflate(
     """Make the squared distance of a robot from a pose (3,) in the map the expected one."""
     P = state.marginal([robot, *(a.observed for a in scan)])
     relative = P[:3, :3] - P[:3, 3:] @ np.linalg.lstsq(P[3:, 3:], P[3:, :3], rcond=None)[0]
-    error = pose - state.pose(robot)
-    error[2] = wrap(error[2])
+    error = pose_error(pose, state.pose(robot))
     # A pose that is known exactly has no covariance.
     factor = float(error @ np.linalg.lstsq(relative, error, rcond=None)[0]) / len(error)
     if factor > 1.0 and abs(error[2]) < MAX_HEADING_ERROR:

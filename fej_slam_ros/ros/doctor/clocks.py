@@ -22,26 +22,30 @@ MAX_USUAL_OFFSET = NS // 10
 MIN_DRIFT_MESSAGES = 11
 
 SYNCHRONISE = 'synchronise the clocks of the robots (chrony, PTP), or correct the stamps'
+#: First and last stamp of odometry [ns] by robot.
+Spans = Mapping[str, tuple[int, int]]
 
 
 def check(survey: Survey, settings: CommonSettings, clock_limit: float) -> Iterator[Finding]:
     """Yield differences between the clocks of robots, topics and recorder."""
     moving = survey.moving(settings)
     if moving:
-        yield from _spans(moving, settings)
-        yield from _offsets(moving, settings, clock_limit)
+        spans = {name: topic.span() for name, topic in moving.items()}
+        offsets = {name: _median_delay(topic) for name, topic in moving.items()}
+        yield from _spans(spans, offsets, settings)
+        yield from _offsets(moving, spans, offsets, settings, clock_limit)
         yield from _drifts(moving, settings)
         yield from _delays(survey, moving, settings)
 
 
-def _spans(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iterator[Finding]:
+def _spans(
+    spans: Spans, offsets: Mapping[str, float], settings: CommonSettings
+) -> Iterator[Finding]:
     """Yield robots that share no time with the others, or miss much of it."""
-    delays = [_median_delay(topic) for topic in robots.values()]
-    is_skewed = max(delays) - min(delays) > settings.max_delay * NS
-    spans = {name: topic.span() for name, topic in robots.items()}
+    is_skewed = _difference(offsets) > settings.max_delay * NS
     begin, end = (median(span[k] for span in spans.values()) for k in (0, 1))
     for name, (first, last) in spans.items():
-        if _is_alone(name, robots):
+        if _is_alone(name, spans):
             yield error_if(is_skewed)(
                 'no_overlap', f'{name}/odom',
                 f'its stamps, from {seconds(first)} to {seconds(last)}, overlap with those of no'
@@ -57,23 +61,27 @@ def _spans(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Itera
                     stamp=stamp)
 
 
-def _is_alone(name: str, robots: Mapping[str, TopicSeries]) -> bool:
+def _is_alone(name: str, spans: Spans) -> bool:
     """Return whether the stamps of a robot overlap with those of none of the others."""
-    first, last = robots[name].span()
-    others = [topic.span() for other, topic in robots.items() if other != name]
+    first, last = spans[name]
+    others = [span for other, span in spans.items() if other != name]
     return bool(others) and all(last < other[0] or first > other[1] for other in others)
 
 
+def _difference(offsets: Mapping[str, float]) -> float:
+    return max(offsets.values()) - min(offsets.values())
+
+
 def _offsets(
-    robots: Mapping[str, TopicSeries], settings: CommonSettings, clock_limit: float
+    robots: Mapping[str, TopicSeries], spans: Spans, offsets: Mapping[str, float],
+    settings: CommonSettings, clock_limit: float,
 ) -> Iterator[Finding]:
-    offsets = {name: _median_delay(topic) for name, topic in robots.items()}
     limit = min(settings.max_delay * NS, MAX_USUAL_OFFSET)
-    common, difference = median(offsets.values()), max(offsets.values()) - min(offsets.values())
+    common, difference = median(offsets.values()), _difference(offsets)
     if difference > limit:
         yield from _skew(offsets, limit, error_if(difference > settings.max_delay * NS))
     elif not any(topic.delays().any() for topic in robots.values()):
-        yield from _shifts(robots, settings)
+        yield from _shifts(robots, spans, settings)
     elif abs(common) > clock_limit * NS:
         yield warning(
             'clock_offset', ', '.join(offsets),
@@ -102,14 +110,16 @@ def _skew(
                 ' time', SYNCHRONISE)
 
 
-def _shifts(robots: Mapping[str, TopicSeries], settings: CommonSettings) -> Iterator[Finding]:
+def _shifts(
+    robots: Mapping[str, TopicSeries], spans: Spans, settings: CommonSettings
+) -> Iterator[Finding]:
     """Yield robots whose whole run is shifted, in a bag whose log times are the stamps."""
-    begin, end = (median_low(topic.span()[k] for topic in robots.values()) for k in (0, 1))
+    begin, end = (median_low(span[k] for span in spans.values()) for k in (0, 1))
     for name, topic in robots.items():
-        first, last = topic.span()
+        first, last = spans[name]
         late = first - begin
         is_shifted = abs(late - (last - end)) < topic.period()
-        is_shifted &= not _is_alone(name, robots)
+        is_shifted &= not _is_alone(name, spans)
         if is_shifted and abs(late) > settings.stale_after * NS:
             yield warning(
                 'clock_skew', f'{name}/odom',

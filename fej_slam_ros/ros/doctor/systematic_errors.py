@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from fej_slam_ros.core.calibration.odometry_errors import fit_to_landmarks
+from fej_slam_ros.core.calibration.systematic_errors import given_odometry
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.findings import Finding, warning
@@ -20,7 +21,7 @@ def check(
     robot: RobotSettings, odometry: Sequence[Odometry], scans: Sequence[Scan]
 ) -> Iterator[Finding]:
     """Yield the errors that `calibrate` would correct; odometry and scans are by stamps."""
-    given = np.array([*robot.odometry_scale, robot.odometry_turn_bias])
+    given = given_odometry(robot)
     errors = fit_to_landmarks(odometry, scans, given)
     if errors is None:
         return
