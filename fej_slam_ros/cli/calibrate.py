@@ -5,8 +5,8 @@ Calibrate odometry and noise in a bag, and write parameters that correct them.
 
 Systematic errors of the odometry of each robot, odometry_scale and odometry_turn_bias, are
 estimated from ground truth over 5 s, or else from landmarks that are observed again within 3 s.
-Those of its observations, observation_range_scale and observation_bearing_bias, are estimated from
-ground truth; without it, the former by the map that robots share.
+So are those of its observations, observation_range_scale and observation_bearing_bias; without
+ground truth, the former by the map that robots share, the latter by the direction of travel.
 
 The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of
@@ -33,8 +33,7 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration import observation_errors, odometry_errors
 from fej_slam_ros.core.calibration.from_innovations import counts, run as run_estimator
 from fej_slam_ros.core.calibration.from_truth import DOF, MAX_RELATIVE_ERROR
-from fej_slam_ros.core.calibration.observation_errors import RangeBearingErrors
-from fej_slam_ros.core.calibration.odometry_errors import OdometryErrors
+from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate
 from fej_slam_ros.core.calibration.systematic_errors import SystematicErrors
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.offline_matching import Received
@@ -56,7 +55,7 @@ ODOMETRY_HEADINGS = (
     'standard error', 'pairs', 'from')
 OBSERVATION_HEADINGS = (
     'observations of', 'range', 'standard error', 'bearing bias [rad]', 'standard error',
-    'observations')
+    'observations', 'from')
 
 #: Factor on noise beyond which something else is probably wrong.
 MAX_USUAL = 5.0
@@ -109,15 +108,11 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         (robot, *(cell for cells in zip(before[robot], after[robot]) for cell in cells))
         for robot in before)))
     if found.errors.odometry():
-        print(text_table(ODOMETRY_HEADINGS, (
-            (robot, *_value_cells(errors), str(errors.pairs), source)
-            for source, of_robots in (
-                (TRUTH, found.errors.by_truth), ('landmarks', found.errors.by_landmarks))
-            for robot, errors in of_robots.items())))
-    if found.errors.observations:
-        print(text_table(OBSERVATION_HEADINGS, (
-            (robot, *_value_cells(errors), str(errors.observations))
-            for robot, errors in found.errors.observations.items())))
+        print(text_table(ODOMETRY_HEADINGS, _error_rows(
+            found.errors.odometry_by_truth, found.errors.odometry_by_landmarks)))
+    if found.errors.observations():
+        print(text_table(OBSERVATION_HEADINGS, _error_rows(
+            found.errors.observations_by_truth, found.errors.observations_by_landmarks)))
     print('\n'.join([
         *_error_remarks(settings.estimation, found.errors), *_remarks(collector, found),
         f'wrote {arguments.output}']))
@@ -143,11 +138,20 @@ def _scores(
     return scores
 
 
-def _value_cells(errors: OdometryErrors | RangeBearingErrors) -> list[str]:
-    """Return the values of systematic errors with their standard errors."""
-    return [
-        cell for value, sigma, is_found in zip(errors.values, errors.sigma, errors.is_known)
-        for cell in (number(value if is_found else None, '.4f'), f'{sigma:.4f}')]
+def _error_rows(
+    by_truth: Mapping[str, ErrorEstimate],
+    by_landmarks: Mapping[str, ErrorEstimate],
+) -> Iterator[tuple[str, ...]]:
+    """Yield a row of each robot: its errors with their standard errors, number, and source."""
+    of_others = {
+        robot: errors for robot, errors in by_landmarks.items() if robot not in by_truth}
+    for source, of_robots in ((TRUTH, by_truth), ('landmarks', of_others)):
+        for robot, errors in of_robots.items():
+            values = (
+                cell for value, sigma, is_found in zip(
+                    errors.values, errors.sigma, errors.is_known)
+                for cell in (number(value if is_found else None, '.4f'), f'{sigma:.4f}'))
+            yield robot, *values, str(errors.samples), source
 
 
 def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]:
@@ -157,9 +161,9 @@ def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]
         yield (
             'too little data to find systematic errors of the odometry of'
             f' {", ".join(unknown)}: odometry_scale and odometry_turn_bias are unchanged')
-    distance, turn, bias = odometry_errors.MAX_ERROR
+    distance, turn, bias = odometry_errors.LIMITS.max_error
     for robot, errors in of_odometry.items():
-        if errors.is_at_limit:
+        if errors.is_at_limit.any():
             yield (
                 f'odometry of {robot} is wrong by {100 * distance:.0f} % in distance,'
                 f' {100 * turn:.0f} % in turns or {bias:.2g} rad/s, or more: check its units,'
@@ -169,8 +173,8 @@ def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]
             f'true headings of {robot} differ by {heading:.4f} rad from those by its direction of'
             ' travel, which are used: check the frame of its ground truth')
     range_, bearing = observation_errors.MAX_ERROR
-    for robot, of_observations in found.observations.items():
-        if of_observations.is_at_limit:
+    for robot, of_observations in found.observations().items():
+        if of_observations.is_at_limit.any():
             yield (
                 f'observations of {robot} are wrong by {100 * range_:.0f} % in range or'
                 f' {bearing:.2g} rad in bearing, or more: check their units and the sensor pose')

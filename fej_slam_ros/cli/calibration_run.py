@@ -16,8 +16,7 @@ from fej_slam_ros.core.calibration.from_truth import (
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
-from fej_slam_ros.core.calibration.observation_errors import RangeBearingErrors
-from fej_slam_ros.core.calibration.odometry_errors import OdometryErrors
+from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
 from fej_slam_ros.core.offline_matching import Received
@@ -128,12 +127,13 @@ def _with_errors_of_ranges(
         return log_likelihood(comparable(settings.estimation), records, prior_map(settings))
 
     wrong = {
-        robot: abs(math.log(found.values[0])) for robot, found in errors.by_landmarks.items()
-        if found.is_known[0] and found.values[0] != 1.0}
+        robot: abs(math.log(found.values[0]))
+        for robot, found in errors.odometry_by_landmarks.items()
+        if found.is_known[0] and found.values[0] != 1.0
+        and robot not in errors.observations_by_truth}
     best = log_likelihood_of(errors) if wrong else 0.0
-    robots = {robot.name: robot for robot in parsed(values).estimation.robots}
     for robot in sorted(wrong, key=wrong.__getitem__, reverse=True):
-        other = errors.with_error_of_ranges(robots[robot])
+        other = errors.with_error_of_ranges(robot)
         found = log_likelihood_of(other)
         if found > best + MIN_GAIN:
             errors, best = other, found
@@ -144,15 +144,16 @@ def _without_systematic_errors(
     values: Mapping[str, object], errors: SystematicErrors
 ) -> dict[str, object]:
     """Return parameters with the systematic errors that were found, where they are others."""
-    corrected, of_odometry = dict(values), errors.odometry()
+    corrected = dict(values)
+    of_odometry, of_observations = errors.odometry(), errors.observations()
     for robot in parsed(values).estimation.robots:
         found: dict[str, object] = {}
         if robot.name in of_odometry:
             distance, turn, found['odometry_turn_bias'] = _rounded(of_odometry[robot.name])
             found['odometry_scale'] = (distance, turn)
-        if robot.name in errors.observations:
+        if robot.name in of_observations:
             found['observation_range_scale'], found['observation_bearing_bias'] = _rounded(
-                errors.observations[robot.name])
+                of_observations[robot.name])
         for parameter, value in found.items():
             if value != getattr(robot, parameter):
                 corrected[f'{robot.name}.{parameter}'] = (
@@ -160,7 +161,7 @@ def _without_systematic_errors(
     return corrected
 
 
-def _rounded(errors: OdometryErrors | RangeBearingErrors) -> list[float]:
+def _rounded(errors: ErrorEstimate) -> list[float]:
     """Return the values; those that the data determine have four digits."""
     return [
         float(f'{value:.4g}') if is_determined else float(value)

@@ -14,7 +14,7 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.sensor_pose import ObservationPairs, rotations
-from fej_slam_ros.core.geometry import Array, perpendicular, poses_at, Stamps
+from fej_slam_ros.core.geometry import Array, perpendicular, poses_at, rotation, Stamps
 from fej_slam_ros.core.records import NS
 
 #: Time before, and after, two observations in which velocities predict the motion between them.
@@ -30,17 +30,24 @@ class PairMotion:
 
     def jacobian(self, values: Array) -> Array:
         """
-        Return the derivatives (n, 2, 3) of the normalised differences in the first base frame.
+        Return the derivatives (n, 2, 6) of the normalised differences in the first base frame.
 
-        By the `values` (3,): the scales of distances and turns, and the turn bias.
+        By the `values` (6,): the scales of distances and turns, the turn bias, the bearing bias,
+        and the position of the sensor.
 
         """
-        scale, turn, bias = values
+        scale, turn, bias, bearing_bias, *position = values
         u, turned, times = self.motion[:, :2], self.motion[:, 2], _seconds(*self.pairs.stamps)
-        z = _rotated(self.pairs.z[1], turn * turned - bias * times)
-        # A turn rotates the second observation, and the motion by half the angle.
+        B = rotations(turn * turned - bias * times)
+        z = _products(B, self.pairs.z[1] @ rotation(bearing_bias) + position)
+        by_position = np.eye(2) - B
+        # A turn rotates the second observation, and the motion by half the angle. A bearing bias
+        # rotates the difference of both, which is the motion of the sensor.
         by_turn = -perpendicular(z + 0.5 * scale * u)
-        J = np.stack([-u, by_turn * turned[:, None], -by_turn * times[:, None]], axis=2)
+        by_bearing = -perpendicular(scale * u - by_position @ position)
+        J = np.concatenate([np.stack(
+            [-u, by_turn * turned[:, None], -by_turn * times[:, None], by_bearing], axis=2),
+            by_position], axis=2)
         normalised: Array = J / self.pairs.sigma[:, None, None]
         return normalised
 
@@ -73,13 +80,14 @@ def _moved(pairs: ObservationPairs, begin: Stamps, end: Stamps) -> Array:
 
 def _with_rotated_start(motions: Array, part: float) -> Array:
     """Return motions (n, 3) in frames that are turned back by a part of their turns."""
-    return np.column_stack([_rotated(motions[:, :2], part * motions[:, 2]), motions[:, 2]])
+    rotated = _products(rotations(part * motions[:, 2]), motions[:, :2])
+    return np.column_stack([rotated, motions[:, 2]])
 
 
-def _rotated(vectors: Array, angles: Array) -> Array:
-    """Return vectors (n, 2), each turned by its angle (n,) [rad]."""
-    rotated: Array = np.einsum('nij,nj->ni', rotations(angles), vectors)
-    return rotated
+def _products(matrices: Array, vectors: Array) -> Array:
+    """Return the products (n, 2) of matrices (n, 2, 2) and vectors (n, 2)."""
+    products: Array = np.einsum('nij,nj->ni', matrices, vectors)
+    return products
 
 
 def _seconds(begin: Stamps, end: Stamps) -> Array:

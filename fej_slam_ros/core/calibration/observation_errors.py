@@ -19,12 +19,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.calibration.odometry_errors import (
-    BLOCK_TIME, MIN_BLOCKS, MIN_FIT_PAIRS, MIN_SIGMAS)
 from fej_slam_ros.core.calibration.offset_regression import Complex, regression
+from fej_slam_ros.core.calibration.shown_errors import (
+    BLOCK_TIME, ErrorEstimate, MIN_BLOCKS, MIN_FIT_PAIRS, MIN_SIGMAS)
 from fej_slam_ros.core.calibration.team_records import NearTruth
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.records import AnyScan, Observation
+from fej_slam_ros.core.settings import RobotSettings
 
 #: Observations without systematic errors: range scale, bearing bias [rad].
 NO_ERRORS = np.array([1.0, 0.0])
@@ -36,15 +37,9 @@ MIN_ERROR, MAX_ERROR = np.array([0.005, 0.005]), np.array([0.3, 0.3])
 RECORDED = -1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RangeBearingErrors:
-    """Systematic errors of observations: range scale and bearing bias."""
-
-    values: Array  #: (2,) array; the given values where the data do not determine them
-    sigma: Array  #: (2,) array, standard errors
-    is_known: Flags  #: (2,) array, whether the data determine the value, perhaps as NO_ERRORS
-    is_at_limit: bool  #: whether a value is beyond MAX_ERROR and is therefore not used
-    observations: int  #: number of observations
+def given_observations(robot: RobotSettings) -> Array:
+    """Return the errors (2,) of observations that the settings of a robot correct."""
+    return np.array([robot.observation_range_scale, robot.observation_bearing_bias])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +73,7 @@ class _Positions:
 def fit_observations(
     scans: Sequence[AnyScan], landmarks: Mapping[int, Array], near: Mapping[str, NearTruth],
     heading_sigma: float, given: Array,
-) -> RangeBearingErrors | None:
+) -> ErrorEstimate | None:
     """
     Return the errors of the observations of a robot, None if too few have ground truth.
 
@@ -144,12 +139,12 @@ def _rows(
 
 def _significant(
     found: Array, sigma: Array, given: Array, observations: int
-) -> RangeBearingErrors:
+) -> ErrorEstimate:
     """Return the errors that the data show; those not determined are as given."""
     error = np.abs(found - NO_ERRORS)
     at_limit, is_determined = error > MAX_ERROR, sigma < MAX_STANDARD_ERROR
     known = is_determined & ~at_limit
     shown = known & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
-    return RangeBearingErrors(
+    return ErrorEstimate(
         np.where(shown, found, np.where(known, NO_ERRORS, given)), sigma, known,
-        bool(np.any(at_limit & is_determined)), observations)
+        at_limit & is_determined, observations)

@@ -7,16 +7,16 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from fej_slam_ros.core.calibration.observation_errors import fit_observations, RangeBearingErrors
-from fej_slam_ros.core.calibration.odometry_errors import (
-    fit_to_landmarks, fit_to_truth, MIN_SIGMAS, OdometryErrors)
+from fej_slam_ros.core.calibration.errors_by_landmarks import fit_to_landmarks
+from fej_slam_ros.core.calibration.observation_errors import fit_observations, given_observations
+from fej_slam_ros.core.calibration.odometry_errors import fit_to_truth, given_odometry
+from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_SIGMAS
 from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.calibration.true_motions import true_motions, TrueMotions
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.offline_matching import Received
-from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.records import TruePose
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import Settings
 
 #: Maximum number of times that errors of headings and of odometry are fitted in turn, and the
 #: change of the heading [rad] after which they are not.
@@ -27,28 +27,36 @@ MAX_ALIGNMENTS, MAX_CHANGE = 20, 1e-4
 class SystematicErrors:
     """Systematic errors by robot, of those with enough data."""
 
-    by_truth: Mapping[str, OdometryErrors] = field(default_factory=dict)  #: of odometry
-    by_landmarks: Mapping[str, OdometryErrors] = field(default_factory=dict)  #: of odometry
+    odometry_by_truth: Mapping[str, ErrorEstimate] = field(default_factory=dict)
+    odometry_by_landmarks: Mapping[str, ErrorEstimate] = field(default_factory=dict)
+    observations_by_truth: Mapping[str, ErrorEstimate] = field(default_factory=dict)
+    observations_by_landmarks: Mapping[str, ErrorEstimate] = field(default_factory=dict)
     #: of the headings of true poses, with their standard errors [rad]
     headings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    observations: Mapping[str, RangeBearingErrors] = field(default_factory=dict)
 
-    def with_error_of_ranges(self, robot: RobotSettings) -> 'SystematicErrors':
+    def with_error_of_ranges(self, robot: str) -> 'SystematicErrors':
         """Return errors in which a wrong scale of distances is one of ranges instead."""
-        odometry, (scale, bias) = self.by_landmarks[robot.name], _given_observations(robot)
+        odometry = self.odometry_by_landmarks[robot]
+        observations = self.observations_by_landmarks[robot]
         distance, *others = odometry.values
-        ranges = RangeBearingErrors(
-            np.array([scale / distance, bias]),
-            np.array([scale * odometry.sigma[0] / distance ** 2, np.inf]),
-            np.array([True, False]), False, odometry.pairs)
+        (scale, bias), (_, sigma), (_, is_known) = (
+            observations.values, observations.sigma, observations.is_known)
+        observations = replace(
+            observations, values=np.array([scale / distance, bias]),
+            sigma=np.array([scale * odometry.sigma[0] / distance ** 2, sigma]),
+            is_known=np.array([True, is_known]))
         odometry = replace(odometry, values=np.array([1.0, *others]))
         return replace(
-            self, by_landmarks={**self.by_landmarks, robot.name: odometry},
-            observations={**self.observations, robot.name: ranges})
+            self, odometry_by_landmarks={**self.odometry_by_landmarks, robot: odometry},
+            observations_by_landmarks={**self.observations_by_landmarks, robot: observations})
 
-    def odometry(self) -> dict[str, OdometryErrors]:
+    def odometry(self) -> dict[str, ErrorEstimate]:
         """Return the errors of odometry from either source."""
-        return {**self.by_truth, **self.by_landmarks}
+        return {**self.odometry_by_truth, **self.odometry_by_landmarks}
+
+    def observations(self) -> dict[str, ErrorEstimate]:
+        """Return the errors of observations, by ground truth where they are known from both."""
+        return {**self.observations_by_landmarks, **self.observations_by_truth}
 
 
 def errors_by_truth(records: Sequence[Received], settings: Settings) -> SystematicErrors:
@@ -67,15 +75,16 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
     for robot in settings.robots:
         of_observations = fit_observations(
             [*team.scans[robot.name], *team.robot_scans[robot.name]], landmarks, team.near,
-            headings.get(robot.name, (0.0, 0.0))[1], _given_observations(robot))
+            headings.get(robot.name, (0.0, 0.0))[1], given_observations(robot))
         if of_observations is not None:
             observations[robot.name] = of_observations
-    return SystematicErrors(odometry, {}, headings, observations)
+    return SystematicErrors(
+        odometry_by_truth=odometry, observations_by_truth=observations, headings=headings)
 
 
 def _with_heading_error(
     motions: TrueMotions, given: Array
-) -> tuple[OdometryErrors, tuple[float, float] | None]:
+) -> tuple[ErrorEstimate, tuple[float, float] | None]:
     """Return the errors of odometry, and of true headings with its sigma [rad] if it is shown."""
     as_recorded = fit_to_truth(motions, given)
     errors, heading = as_recorded, 0.0
@@ -93,16 +102,17 @@ def _with_heading_error(
 def with_errors_by_landmarks(
     found: SystematicErrors, records: Sequence[Received], settings: Settings
 ) -> SystematicErrors:
-    """Return errors with those of the odometry of other robots, which landmarks show."""
-    team, by_landmarks = _team(records, settings), {}
-    for robot in settings.robots:
-        if robot.name not in found.by_truth:
-            errors = fit_to_landmarks(team.odometry[robot.name], [
-                without_systematic_errors(scan, robot) for scan in team.scans[robot.name]],
-                given_odometry(robot))
-            if errors is not None:
-                by_landmarks[robot.name] = errors
-    return replace(found, by_landmarks=by_landmarks)
+    """Return errors with those of other robots, which landmarks show."""
+    team = _team(records, settings)
+    errors = {
+        robot.name: fit_to_landmarks(team.odometry[robot.name], team.scans[robot.name], robot)
+        for robot in settings.robots if robot.name not in found.odometry_by_truth}
+    by_landmarks = {robot: fit for robot, fit in errors.items() if fit is not None}
+    return replace(
+        found,
+        odometry_by_landmarks={robot: fit.odometry for robot, fit in by_landmarks.items()},
+        observations_by_landmarks={
+            robot: fit.observations for robot, fit in by_landmarks.items()})
 
 
 def with_corrected_headings(
@@ -118,12 +128,3 @@ def with_corrected_headings(
 def _team(records: Sequence[Received], settings: Settings) -> TeamRecords:
     return TeamRecords(
         (record for record, _ in records), [robot.name for robot in settings.robots])
-
-
-def given_odometry(robot: RobotSettings) -> Array:
-    """Return the errors (3,) of odometry that the settings of a robot correct."""
-    return np.array([*robot.odometry_scale, robot.odometry_turn_bias])
-
-
-def _given_observations(robot: RobotSettings) -> Array:
-    return np.array([robot.observation_range_scale, robot.observation_bearing_bias])

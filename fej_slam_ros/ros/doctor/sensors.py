@@ -103,7 +103,7 @@ def check(
         scans = [without_systematic_errors(scan, given) for scan in team.scans[robot]]
         fit = fit_sensor(odometry, scans)
         of_sensor = [] if fit is None else [*findings(f'{robot}/landmarks', fit)]
-        yield from of_sensor or systematic_errors.check(given, odometry, scans)
+        yield from of_sensor or systematic_errors.check(given, odometry, team.scans[robot])
         if robot in any_post.robots:
             found = lasers.detectors[robot]
             yield from _radii(robot, found.radii, detector)

@@ -199,8 +199,9 @@ def test_systematic_errors_of_observations_are_corrected_by_ground_truth(calibra
     _, printed, _ = calibrate([*map(wrong, RECORDS)])
 
     r1, r2 = parameters.load(places[2]).estimation.robots
-    scale, scale_error, bias, bias_error, _ = map(
-        float, row(printed[printed.index('observations of'):], 'r1'))
+    *numbers, _, source = row(printed[printed.index('observations of'):], 'r1')
+    scale, scale_error, bias, bias_error = map(float, numbers)
+    assert source == 'truth'
     # With the digits that are printed and written.
     assert scale == pytest.approx(1.0 / 0.96, abs=4.0 * scale_error)
     assert bias == pytest.approx(0.03, abs=4.0 * bias_error)
@@ -223,7 +224,7 @@ def test_without_ground_truth_a_shared_map_tells_wrong_ranges_from_wrong_distanc
             replace(o, z=o.z / 1.05) for o in record.observations))
 
     write_parameters(
-        places[1], robots=['r1', 'r2'], **{'r1.observation_bearing_bias': 0.001})
+        places[1], robots=['r1', 'r2'], **{'r1.observation_bearing_bias': 0.02})
     own = [r for r in ON_CIRCLES if isinstance(r, Odometry) and r.robot == 'r1']
     others = [r for r in ON_CIRCLES if not (isinstance(r, Odometry) and r.robot == 'r1')]
     records = [*map(wrong, ON_CIRCLES)] if is_sensor else [
@@ -237,8 +238,26 @@ def test_without_ground_truth_a_shared_map_tells_wrong_ranges_from_wrong_distanc
     assert r1.observation_range_scale == pytest.approx(ranges, abs=0.015)
     assert r1.odometry_scale[0] == pytest.approx(distance, abs=0.015)
     assert (r2.observation_range_scale, r2.odometry_scale[0]) == (1.0, 1.0)
-    # Nothing was found of the bearings.
-    assert r1.observation_bearing_bias == 0.001
+    # Bearings are right by the direction of travel.
+    assert r1.observation_bearing_bias == 0.0
+
+
+def test_without_ground_truth_the_direction_of_travel_shows_a_bearing_bias(calibrate, places):
+    def turned(record):
+        if not isinstance(record, Scan) or record.robot != 'r1':
+            return record
+        return replace(record, observations=tuple(
+            replace(o, z=rotation(0.06) @ o.z) for o in record.observations))
+
+    _, printed, _ = calibrate(
+        [*map(turned, ON_CIRCLES)], '--from', 'innovations', '--seconds', '20')
+
+    r1, r2 = parameters.load(places[2]).estimation.robots
+    *_, bias, sigma, _, source = row(printed[printed.index('observations of'):], 'r1')
+    assert source == 'landmarks'
+    assert float(bias) == pytest.approx(0.06, abs=4.0 * float(sigma))
+    assert r1.observation_bearing_bias == pytest.approx(float(bias), abs=1e-4)
+    assert r2.observation_bearing_bias == 0.0
 
 
 def test_other_parameters_are_kept_and_used(calibrate, places):

@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`doctor` names systematic errors of odometry that landmarks show."""
+"""`doctor` names systematic errors of odometry and bearings that landmarks show."""
 
 import pytest
 
@@ -9,9 +9,9 @@ from fej_slam_ros.ros.doctor import systematic_errors
 from helpers.wrong_odometry import run
 
 
-def whats(scale=(1.0, 1.0), bias=0.0, **given):
-    """Return the descriptions of the findings on odometry with errors."""
-    odometry, scans, _ = run(scale, bias, seconds=300.0)
+def whats(scale=(1.0, 1.0), bias=0.0, yaw=0.0, **given):
+    """Return the descriptions of the findings on odometry with errors and a turned sensor."""
+    odometry, scans, _ = run(scale, bias, seconds=300.0, sensor=(0.0, 0.0, yaw))
     robot = RobotSettings('r', 1, **given)
     return [finding.what for finding in systematic_errors.check(robot, odometry, scans)]
 
@@ -48,3 +48,11 @@ def test_errors_that_parameters_correct_have_no_finding():
 
     assert not whats((1.08, 0.9), 0.02, **given)
     assert whats(**given)
+
+
+@pytest.mark.parametrize(('yaw', 'side'), [(0.03, 'right'), (-0.03, 'left')])
+def test_a_turned_sensor_is_named_with_its_side(yaw, side):
+    (what,) = whats(yaw=yaw)
+
+    assert what.endswith(f'rad too far to the {side}')
+    assert not whats(yaw=yaw, observation_bearing_bias=-yaw)

@@ -1,0 +1,123 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Systematic errors of one robot by the landmarks that it observes again within seconds.
+
+The motion by corrected odometry leads from one observation of a landmark to the next. The scale of
+distances is that of the sensor, by which the map is made. Bearings are measured from the direction
+of travel by odometry: a bearing bias turns the motion that observations show. The position of the
+sensor, which shows where the robot turns, is fitted beside these errors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from fej_slam_ros.core.calibration import observation_errors, odometry_errors
+from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajectory
+from fej_slam_ros.core.calibration.instruments import (
+    measured_motion, PairMotion, predicted_motion)
+from fej_slam_ros.core.calibration.observation_errors import given_observations
+from fej_slam_ros.core.calibration.odometry_errors import given_odometry, scatter
+from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, ObservationPairs
+from fej_slam_ros.core.calibration.shown_errors import (
+    BLOCK_TIME, ErrorEstimate, ErrorFit, ErrorLimits, MIN_BLOCKS, MIN_FIT_PAIRS, shown_errors)
+from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
+from fej_slam_ros.core.records import NS, Odometry, Scan
+from fej_slam_ros.core.settings import RobotSettings
+
+#: Maximum time between the two observations of a landmark [ns].
+MAX_LANDMARK_TIME = 3 * NS
+#: Limits of the errors of odometry and the bearing bias [rad].
+LIMITS = ErrorLimits(*(
+    np.append(of_odometry, of_bearing) for of_odometry, of_bearing in zip(
+        odometry_errors.LIMITS, (
+            0.0, 0.1, observation_errors.MAX_STANDARD_ERROR[1],
+            observation_errors.MIN_ERROR[1]))))
+#: Standard deviation of a coordinate of the position of the sensor [m], and the largest error that
+#: is searched. On circles about one centre, the position and the errors are the same.
+POSITION_SIGMA, MAX_POSITION = 0.02, 0.5
+#: Maximum number of iterations by instruments, and the step of all values after which they end.
+MAX_ITERATIONS, MAX_STEP = 30, 1e-7
+
+
+class ErrorsByLandmarks(NamedTuple):
+    """Systematic errors of a robot; those not determined are as its settings have them."""
+
+    odometry: ErrorEstimate  #: scales of distances and turns, and turn bias
+    observations: ErrorEstimate  #: range scale, always that of the settings, and bearing bias
+
+
+def fit_to_landmarks(
+    odometry: Sequence[Odometry], scans: Sequence[Scan], robot: RobotSettings
+) -> ErrorsByLandmarks | None:
+    """
+    Return the errors of a robot by its odometry and observations of landmarks, both by stamps.
+
+    None if too few landmarks are observed again.
+
+    """
+    given = given_observations(robot)
+    ranges_only = replace(robot, observation_bearing_bias=0.0)
+    pairs = observation_pairs(
+        odometry, [without_systematic_errors(scan, ranges_only) for scan in scans],
+        MAX_LANDMARK_TIME)
+    stamps = pairs.stamps[0]
+    if len(stamps) < MIN_FIT_PAIRS or len(np.unique(stamps // BLOCK_TIME)) < MIN_BLOCKS:
+        return None
+    found = shown_errors(
+        partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs)),
+        LIMITS, stamps, np.append(given_odometry(robot), given[1]))
+    bearing = found.part(slice(3, 4))
+    return ErrorsByLandmarks(found.part(slice(3)), ErrorEstimate(
+        np.append(given[0], bearing.values), np.append(np.inf, bearing.sigma),
+        np.append(False, bearing.is_known), np.append(False, bearing.is_at_limit),
+        bearing.samples))
+
+
+def _by_instruments(
+    measured: PairMotion, predicted: PairMotion, fixed: Array, free: Flags
+) -> ErrorFit:
+    """
+    Return the errors of which some are `free`, others `fixed`, by instrumental variables.
+
+    The position of the sensor follows them. All solve sum Z' w r = 0 for the normalised
+    differences r of pairs, their robust weights w, and the derivatives Z by predicted motion.
+
+    """
+    free, x = np.append(free, [True, True]), np.append(fixed, np.zeros(2))
+    none, start = np.append(LIMITS.none, np.zeros(2)), x
+    prior = np.diag(np.append(LIMITS.prior_sigma, [POSITION_SIGMA] * 2) ** -2.0)
+    limits = np.where(free, np.append(LIMITS.max_error, [MAX_POSITION] * 2), 0.0)
+    for _ in range(MAX_ITERATIONS):
+        r = _differences(measured.pairs, x)
+        variance = scatter(r) ** 2
+        # The weights of soft_l1.
+        cost = 2.0 * variance + np.sum(r ** 2, axis=1)
+        Zw = predicted.jacobian(x) * np.sqrt(2.0 / (cost * variance))[:, None, None] * free
+        J = measured.jacobian(x) * free
+        gradients = (Zw * r[:, :, None]).reshape(-1, len(x))
+        gradient = gradients.sum(axis=0) + prior @ (x - none) * free
+        before, step = x, np.linalg.solve(np.einsum('nji,njk->ik', Zw, J) + prior, gradient)
+        x = np.clip(x - step, start - limits, start + limits)
+        if np.all(np.abs(x - before) < MAX_STEP):
+            break
+    # The derivative of w r is w (I - r r' / cost) J.
+    J = J - r[:, :, None] * (np.einsum('nj,njk->nk', r, J) / cost[:, None])[:, None]
+    return ErrorFit(x, np.einsum('nji,njk->ik', Zw, J) + prior, gradients, 1.0)
+
+
+def _differences(pairs: ObservationPairs, values: Array) -> Array:
+    """Return the normalised differences (n, 2) of pairs without errors, `values` (6,)."""
+    *of_odometry, bearing_bias, x, y = values
+    moved = replace(
+        pairs, poses=corrected_trajectory(pairs.known, pairs.poses, np.array(of_odometry)))
+    placed = moved.at_odometry(0.0)
+    # In the base frame, which headings summed up over the whole run do not turn.
+    r: Array = np.einsum(
+        'nji,nj->ni', placed.A, placed.residuals(np.array([x, y, -bearing_bias])))
+    return r

@@ -1,0 +1,115 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Which systematic errors the data show.
+
+A robot that drives straight shows no error of turns: a fit of all errors would be wrong by the
+noise. Errors that the data do not show are therefore taken out of the fit one by one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, Flags, Indices, Stamps
+from fej_slam_ros.core.records import NS
+
+#: Minimum number of pairs of true poses or of observations.
+MIN_FIT_PAIRS = 60
+#: Length [ns] of the blocks within which residuals count as dependent, since pairs share odometry,
+#: and minimum number of blocks.
+BLOCK_TIME, MIN_BLOCKS = 10 * NS, 10
+#: Minimum number of standard errors of an error.
+MIN_SIGMAS = 4.0
+
+
+class ErrorLimits(NamedTuple):
+    """Limits of n kinds of errors."""
+
+    none: Array  #: (n,) array, the values without errors
+    #: (n,) array; these standard deviations keep a value at `none` that the data leave open
+    prior_sigma: Array
+    max_standard_error: Array  #: (n,) array; a value is determined below this
+    #: (n,) array, of determined values; they also differ from `none` by MIN_SIGMAS
+    min_error: Array
+
+    @property
+    def max_error(self) -> Array:
+        """Return the largest differences (n,) from `none` that are searched."""
+        return 3.0 * self.prior_sigma
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorFit:
+    """A fit of n errors and perhaps of more values x (m,), which follow the errors."""
+
+    x: Array
+    information: Array  #: (m, m) array about all of them, perhaps not symmetric
+    gradients: Array  #: (k, m) array, of half the robust cost of each residual
+    scatter: float  #: standard deviation of the residuals
+
+    def covariance(self, block: Indices) -> Array:
+        """Return the (m, m) covariance of the gradient for pairs that depend within blocks."""
+        m = len(self.x)
+        of_pairs = self.gradients.reshape(len(block), -1, m).sum(axis=1)
+        of_blocks = np.zeros((block.max() + 1, m))
+        np.add.at(of_blocks, block, of_pairs)
+        # The mean is 0 but where an error is at its limit.
+        of_blocks -= of_blocks.mean(axis=0)
+        count = len(of_blocks)
+        covariance: Array = of_blocks.T @ of_blocks * count / max(count - 3, 1)
+        return covariance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ErrorEstimate:
+    """Estimate of n errors."""
+
+    values: Array  #: (n,) array; the given values where the data do not determine them
+    sigma: Array  #: (n,) array, standard errors of a fit of all of them
+    is_known: Flags  #: (n,) array, whether the data determine the value, perhaps as no error
+    is_at_limit: Flags  #: (n,) array, whether it reached the largest error and is not used
+    samples: int  #: number of pairs of true poses, or of observations
+
+    def part(self, errors: slice) -> 'ErrorEstimate':
+        """Return the estimate of some of the errors."""
+        return ErrorEstimate(
+            self.values[errors], self.sigma[errors], self.is_known[errors],
+            self.is_at_limit[errors], self.samples)
+
+
+def shown_errors(
+    fitted: Callable[[Array, Flags], ErrorFit], limits: ErrorLimits, stamps: Stamps, given: Array
+) -> ErrorEstimate:
+    """
+    Return the errors that the data show; those not determined are as `given`, a (n,) array.
+
+    `fitted` returns a fit by the errors, of which some are free, and by which these are. It has as
+    many residuals of each pair, in the order of the `stamps` [ns] of the pairs. Of two errors that
+    are the same in the data, the first counts.
+
+    """
+    _, block = np.unique(stamps // BLOCK_TIME, return_inverse=True)
+    n = len(given)
+    free, fixed, of_all = np.ones(n, bool), limits.none.copy(), np.empty(0)
+    is_known, is_at_limit = np.ones(n, bool), np.zeros(n, bool)
+    while True:
+        fit = fitted(fixed, free)
+        x, P = fit.x[:n], np.linalg.inv(fit.information)
+        of_independent = np.sqrt(np.abs(np.diag(P)[:n])) * fit.scatter
+        of_blocks = np.sqrt(np.diag(P @ fit.covariance(block) @ P.T)[:n])
+        sigma = np.maximum(of_independent, of_blocks)
+        of_all = sigma if free.all() else of_all
+        error = np.abs(x - limits.none)
+        at_limit = error > 0.99 * limits.max_error
+        known = (sigma < limits.max_standard_error) & ~at_limit
+        shown = known & (error > np.maximum(MIN_SIGMAS * sigma, limits.min_error))
+        hidden = np.flatnonzero(free & ~shown)
+        if not len(hidden):
+            return ErrorEstimate(x, of_all, is_known, is_at_limit, len(stamps))
+        k = hidden[-1]
+        free[k], is_known[k] = False, known[k]
+        fixed[k] = limits.none[k] if known[k] else given[k]
+        is_at_limit[k] = at_limit[k] and of_independent[k] < limits.max_standard_error[k]
