@@ -103,6 +103,11 @@ def _tables(session: BagSmootherSession) -> Iterator[str]:
     for failed in solution.not_joined:
         if solution.has_joined(failed.robots):
             yield f'a rendezvous of {" and ".join(failed.robots)} is left out: {failed.reason}'
+    for join in solution.scaled:
+        yield (
+            f'the map of {" and ".join(join.robots)} was {abs(join.scale - 1.0):.1%}'
+            f' {"larger" if join.scale > 1.0 else "smaller"} than that of'
+            f' {" and ".join(join.others)}: fej_slam calibrate finds wrong ranges and odometry')
     for released in session.released_odometry():
         intervals = ' and '.join(
             f'from {begin / NS:.1f} to {end / NS:.1f} s'

@@ -25,9 +25,11 @@ import numpy as np
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation, PoseScore
 from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.keyframes import Keyframes
+from fej_slam_ros.core.csam.map_merging import ScaledJoin
 from fej_slam_ros.core.csam.outlier_removal import Outlier
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
+from fej_slam_ros.core.csam.slips import ReleasedOdometry
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory, TeamMap
 from fej_slam_ros.core.data_association.failure_detection import (
@@ -89,6 +91,7 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     TeamSmoother, Keyframes, RobotTrajectory, IncrementalSmoother, NewestPose, NearMarginal,
     Values, OdometryFactors, LandmarkFactors, Motion, RendezvousMeasurement,
     TeamMap, SmoothedMap, SmoothedTrajectory, BaseNode, JoinFailure, Outlier,
+    ReleasedOdometry, ScaledJoin,
 )
 
 CORE = 'fej_slam_ros.core.'

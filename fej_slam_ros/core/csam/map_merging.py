@@ -11,7 +11,7 @@ Joined robots then act as one map, so that any number of robots can be joined.
 
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -35,6 +35,15 @@ from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import LandmarkKey
 
 
+@dataclass(frozen=True, slots=True)
+class ScaledJoin:
+    """Two maps of different scales that were joined."""
+
+    robots: tuple[str, ...]  #: robots of the first map
+    others: tuple[str, ...]  #: robots of the second
+    scale: float  #: lengths in the first map, divided by those in the second
+
+
 class JoinedMaps(NamedTuple):
     """Result of joining maps."""
 
@@ -44,6 +53,7 @@ class JoinedMaps(NamedTuple):
     #: observations by robot of landmarks that contradicted those of the other map
     outliers: Mapping[str, Sequence[Outlier]]
     released: Sequence[ReleasedOdometry]  #: odometry of robots whose wheels slipped
+    scaled: Sequence[ScaledJoin]  #: maps whose scales differ
 
 
 def join_maps(
@@ -69,7 +79,7 @@ def join_maps(
         [*merger.outliers,
          *(replace(failure, robots=rendezvous.robots) for rendezvous, failure in failed),
          *(failure for _, failure in matched if failure is not None)],
-        merger.landmark_outliers, merger.released)
+        merger.landmark_outliers, merger.released, merger.scaled)
 
 
 def _matched(joint: JointMap) -> tuple[JointMap, JoinFailure | None]:
@@ -93,6 +103,7 @@ class _MapMerger:
         #: landmark observations that were left out, by robot
         self.landmark_outliers: defaultdict[str, list[Outlier]] = defaultdict(list)
         self.released: list[ReleasedOdometry] = []  #: odometry of robots whose wheels slipped
+        self.scaled: list[ScaledJoin] = []  #: joined maps whose scales differ
         self._rules = replace(
             rules, variance_factor=variance_factor(self.groups, rules.min_shared))
         self._aligner = RendezvousAligner(measurements, self._rules)
@@ -153,7 +164,8 @@ class _MapMerger:
         measurements = rendezvous.measurements
         if not others or len(measurements) < 2 * MIN_PER_LINK:
             return False
-        groups, outliers, released = [*self.groups], len(self.outliers), len(self.released)
+        groups, outliers, released, scaled = (
+            [*self.groups], len(self.outliers), len(self.released), len(self.scaled))
         middle = len(measurements) // 2
         halves = [
             rendezvous._replace(measurements=half)
@@ -163,7 +175,7 @@ class _MapMerger:
                     [(other, failure)]):
                 return True
             self.groups = [*groups]
-            del self.outliers[outliers:], self.released[released:]
+            del self.outliers[outliers:], self.released[released:], self.scaled[scaled:]
         return False
 
     def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:
@@ -242,13 +254,17 @@ class _MapMerger:
     ) -> JointMap | JoinFailure:
         """Return the joined maps, also if they contradict each other in their scale."""
         joined = self._joined(p, q, aligned.base_node)
-        if isinstance(joined, JoinFailure) and (
-                scaled := aligned_but_for_scale(p, q, self._rules)):
-            try:
-                return merged(p, q, scaled.base_node).solved()
-            except NoMinimumError:
-                return joined
-        return joined
+        if not isinstance(joined, JoinFailure):
+            return joined
+        scaled = aligned_but_for_scale(p, q, self._rules)
+        if scaled is None:
+            return joined
+        try:
+            compromise = merged(p, q, scaled.base_node).solved()
+        except NoMinimumError:
+            return joined
+        self.scaled.append(ScaledJoin(tuple(p.robots), tuple(q.robots), scaled.scale))
+        return compromise
 
     def _joined_by_rendezvous(
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous

@@ -47,6 +47,7 @@ class LandmarkAlignment(NamedTuple):
     #: chi_square, dof: weighted squared distances of the landmarks, and degrees of freedom
     chi_square: float
     dof: int
+    scale: float  #: lengths in the first map, divided by those in the second
 
 
 def align_by_landmarks(
@@ -84,7 +85,7 @@ def align_by_landmarks(
         scale *= float(np.exp(step[3:].sum()))
         if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
             return JoinFailure(f'cannot align: the scales differ by more than {MAX_SCALE:g}')
-    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - unknowns)
+    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - unknowns, scale)
 
 
 def aligned_but_for_scale(

@@ -15,7 +15,7 @@ import numpy as np
 from fej_slam_ros.core import models
 from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.join_rules import JoinRules
-from fej_slam_ros.core.csam.map_merging import join_maps
+from fej_slam_ros.core.csam.map_merging import join_maps, ScaledJoin
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_outliers
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
@@ -90,6 +90,7 @@ class TeamMap:
     outliers: Mapping[str, Sequence[Outlier]] = field(default_factory=dict)
     #: odometry of robots whose wheels slipped
     released: tuple[ReleasedOdometry, ...] = ()
+    scaled: tuple[ScaledJoin, ...] = ()  #: joined maps whose scales differ
 
     def has_joined(self, robots: Collection[str]) -> bool:
         """Return whether all these robots are in one map."""
@@ -133,7 +134,8 @@ def solve(task: SmoothingTask) -> TeamMap:
         except NoMinimumError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
     return TeamMap(
-        tuple(maps), tuple(joined.failures), unsolved, outliers, tuple(joined.released))
+        tuple(maps), tuple(joined.failures), unsolved, outliers, tuple(joined.released),
+        tuple(joined.scaled))
 
 
 def _led_by_first(maps: Sequence[JointMap], names: Sequence[str]) -> list[JointMap]:

@@ -3,7 +3,7 @@
 """One run of the smoother, live or from a bag: messages in, publications and files out."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from heapq import merge
 from itertools import chain
 from pathlib import Path
@@ -169,6 +169,7 @@ class SmootherSession(Session):
                 {'robots': list(failed.robots), 'reason': failed.reason}
                 for failed in solution.not_joined],
             'released_odometry': self.released_odometry(),
+            'scaled_joins': [asdict(join) for join in solution.scaled],
             'unsolved': {**solution.unsolved, **self.diagnostics.failed},
             'messages': [
                 {'sender': sender, 'receiver': receiver, 'bytes': sizes,

@@ -145,6 +145,29 @@ def test_released_odometry_is_stated_with_its_time(smooth, places):
     assert_allclose([float(end['x']), float(end['y'])], [28.0, 3.0], atol=0.01)
 
 
+def long_and_short():
+    """Return records of two robots at rest; all ranges of r2 are 4 % too short."""
+    rng, corners = np.random.default_rng(0), [(3.0, 4.0), (-5.0, 2.0), (-4.0, -3.0), (6.0, -4.0)]
+    for k in range(31):
+        for robot, scale in (('r1', 1.0), ('r2', 0.96)):
+            yield odometry(robot, 1000 * k, [0.0, 0.0, 0.0], 1e-4 * np.eye(3))
+            yield scan(robot, 1000 * k, [
+                (i, scale * np.array(p) + rng.normal(0.0, 0.1, 2)) for i, p in enumerate(corners)])
+
+
+def test_a_join_of_maps_of_different_scales_is_stated(smooth, places):
+    records = [raw_record(record, {'r1': 1, 'r2': 2}) for record in long_and_short()]
+
+    status, printed, error = smooth(records, robots=['r1', 'r2'])
+
+    assert (status, error) == (0, '')
+    join, = alignment_of(places[2])['scaled_joins']
+    assert (join['robots'], join['others']) == (['r1'], ['r2'])
+    # The standard error of lengths of 5 m by 31 observations is 0.3 %.
+    assert join['scale'] == pytest.approx(1.0 / 0.96, abs=0.01)
+    assert f'the map of r1 was {join["scale"] - 1.0:.1%} larger than that of r2' in printed
+
+
 def test_ids_list_the_merged_landmarks(met):
     names = {}
     for row in csv_rows(met / 'ids.csv'):

@@ -2,8 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """An estimator or smoother restored from a snapshot continues bit for bit like the original."""
 
+from dataclasses import is_dataclass
 from enum import Enum
 from itertools import pairwise
+from typing import get_args, get_type_hints
 
 import numpy as np
 import pytest
@@ -120,6 +122,22 @@ def test_input_repeated_after_a_restore_adds_only_rejections(undisturbed, cut):
     assert estimator.statistics.rejection_counts['r2'][RejectionReason.DUPLICATE] >= sum(
         isinstance(record, (Odometry, Scan)) and record.robot == 'r2'
         for record in RECORDS[:cut])
+
+
+def own_classes(hint):
+    """Yield the classes of this package in a type hint."""
+    if isinstance(hint, type) and hint.__module__.startswith(CORE):
+        yield hint
+    for part in get_args(hint):
+        yield from own_classes(part)
+
+
+@pytest.mark.parametrize('cls', [
+    cls for cls in SNAPSHOT_CLASSES if is_dataclass(cls) or issubclass(cls, tuple)])
+def test_whatever_an_attribute_may_be_is_of_a_snapshot_class(cls):
+    for hint in get_type_hints(cls).values():
+        for needed in own_classes(hint):
+            assert any(issubclass(listed, needed) for listed in SNAPSHOT_CLASSES)
 
 
 def test_a_snapshot_does_not_change_the_estimator():

@@ -241,7 +241,7 @@ def test_a_landmark_from_misread_ids_only_is_left_out_of_the_map_with_fewer_obse
         observing(local, misread if local.robot == fewer else right,
                   {5: 2} if local.robot == fewer else {}) for local in team.maps]
 
-    (joint,), failed, outliers, _ = joined_maps(maps, [])
+    (joint,), failed, outliers, *_ = joined_maps(maps, [])
 
     assert failed == []
     assert [o.landmark for o in outliers[fewer]] == [('', 5)] * 2
@@ -260,7 +260,7 @@ def test_a_third_of_the_landmarks_cannot_be_outlying():
         observing(team.maps[0], [0, 1, 2, 3, 4, 5, None], {}),
         observing(team.maps[1], [0, 1, 2, 3, 5, None, 4], {4: 2, 5: 2})]
 
-    groups, failed, outliers, _ = joined_maps(maps, [])
+    groups, failed, outliers, *_ = joined_maps(maps, [])
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
     assert 'inconsistent' in failed[0].reason
@@ -377,9 +377,13 @@ def test_maps_that_differ_in_nothing_but_a_small_scale_are_joined(scale):
     team = Met(22, [], landmarks=12, shared=True)
     p, q = team.maps
 
-    (joint,), failed, *_ = joined_maps([p, scaled(q, scale)], [])
+    result = joined_maps([p, scaled(q, scale)], [])
+    (joint,), (join,) = result.maps, result.scaled
 
-    assert failed == []
+    assert result.failures == []
+    assert (join.robots, join.others) == (('r1',), ('r2',))
+    # The noise of 12 landmarks.
+    assert join.scale == pytest.approx(1.0 / scale, abs=0.01)
     # The heading that a map of another scale has.
     expected = true_base_node(team, 'r1', 'r2')
     assert wrapped(base_nodes(joint)['r2'].pose[2] - expected[2]) == pytest.approx(0.0, abs=0.05)
@@ -390,10 +394,11 @@ def test_maps_of_very_different_scales_are_not_joined(scale):
     team = Met(22, [], landmarks=12, shared=True)
     p, q = team.maps
 
-    groups, failed, *_ = joined_maps([p, scaled(q, scale)], [])
+    groups, failed, *_, joins = joined_maps([p, scaled(q, scale)], [])
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
     assert 'inconsistent' in failed[0].reason
+    assert joins == []
 
 
 @pytest.mark.parametrize('seed', range(5))
@@ -424,7 +429,7 @@ def test_two_in_five_landmarks_that_contradict_all_others_are_left_out():
     p, q = team.maps
     people = np.random.default_rng(1).uniform(-5.0, 5.0, (7, 2))
 
-    (joint,), failed, outliers, _ = joined_maps([p, displaced(q, range(11, 18), people)], [])
+    (joint,), failed, outliers, *_ = joined_maps([p, displaced(q, range(11, 18), people)], [])
 
     assert failed == []
     left_out = {o.landmark for of_robot in outliers.values() for o in of_robot}
@@ -439,7 +444,7 @@ def test_maps_are_not_joined_if_two_in_five_landmarks_agree_on_another_place():
     team = Met(23, [], landmarks=18, shared=True)
     p, q = team.maps
 
-    groups, failed, outliers, _ = joined_maps(
+    groups, failed, outliers, *_ = joined_maps(
         [p, displaced(q, range(11, 18), np.array([2.0, 1.0]))], [])
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]

@@ -65,7 +65,7 @@ def batch(joint, team):
 def test_after_a_slip_the_robot_is_where_batch_least_squares_without_that_odometry_is(seed, met):
     team = team_of(seed, met)
 
-    (joint,), failed, _, (released,) = joined_maps(team.maps, team.measurements)
+    (joint,), failed, _, (released,), _ = joined_maps(team.maps, team.measurements)
 
     assert failed == []
     (begin, end), = released.intervals
@@ -86,7 +86,7 @@ def test_observations_that_are_wrong_for_a_while_are_left_out(seed):
         replace(m, z=m.z + np.array([0.0, 2.0])) if 20 <= m.pose < 32 else m
         for m in team.measurements]
 
-    _, failed, _, released = joined_maps(team.maps, wrong)
+    _, failed, _, released, _ = joined_maps(team.maps, wrong)
 
     assert released == []
     assert len(failed) == 1
@@ -97,7 +97,7 @@ def test_of_two_robots_without_landmarks_none_is_taken_as_the_one_that_slipped(s
     team = team_of(seed, ALWAYS)
     maps = [without_landmarks(team.maps[0]), team.maps[2]]
 
-    joints, failed, _, released = joined_maps(maps, team.measurements)
+    joints, failed, _, released, _ = joined_maps(maps, team.measurements)
 
     assert (len(joints), released) == (2, [])
     assert [failure.robots for failure in failed] == [('r1', 'r3')]
