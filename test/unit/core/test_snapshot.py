@@ -10,8 +10,10 @@ from typing import get_args, get_type_hints
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.csam.map_merging import ScaledJoin
+from fej_slam_ros.core.csam.slips import ReleasedOdometry
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.csam.team_solution import solve
+from fej_slam_ros.core.csam.team_solution import solve, TeamMap
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.record_memory import FORGOTTEN_TOGETHER, MAX_REMEMBERED
 from fej_slam_ros.core.records import Odometry, Scan
@@ -251,6 +253,18 @@ def test_a_smoother_that_is_restored_often_equals_the_uninterrupted_one():
 
     assert smooth(TeamSmoother(settings, solve_every=20), restored_every=37) == expected
     assert expected[-1] == {}
+
+
+def test_a_smoother_keeps_what_its_solution_says_of_slips_and_scales():
+    smoother = TeamSmoother(team('r1', 'r2'))
+    solution = TeamMap(
+        released=(ReleasedOdometry('r2', ((3, 5),), 7),),
+        scaled=(ScaledJoin(('r1',), ('r2',), 1.03),))
+    smoother.adopt(solution)
+
+    again = restore(snapshot(smoother), smoother.settings, TeamSmoother).solution
+
+    assert (again.released, again.scaled) == (solution.released, solution.scaled)
 
 
 def test_a_restored_smoother_asks_for_the_solution_that_was_being_computed():
