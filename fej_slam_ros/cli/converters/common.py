@@ -3,7 +3,7 @@
 """Arguments and output that all converters share."""
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from fej_slam_ros.atomic_files import write_text
@@ -21,8 +21,13 @@ def add_paths(
 ) -> None:
     """Add the data set, which is a folder by default, and the output bag."""
     parser.add_argument('--input', metavar=metavar, type=Path, required=True, help=source)
+    add_output(parser, output_required)
+
+
+def add_output(parser: ArgumentParser, required: bool = True) -> None:
+    """Add the output bag."""
     parser.add_argument(
-        '--output', metavar='BAG', type=Path, required=output_required, help='folder of the bag')
+        '--output', metavar='BAG', type=Path, required=required, help='folder of the bag')
     add_storage(parser)
     parser.add_argument(
         '--force', action='store_true', help='replace an existing bag and its parameters')
@@ -33,10 +38,20 @@ def write(
     report: Iterable[str],
 ) -> None:
     """Write the bag and its parameters, then print a report, which is evaluated last."""
+    ids = {robot.name: robot.id for robot in settings.robots}
+    write_with_parameters(
+        lambda: bags.write(arguments.output, records, arguments.storage, arguments.force, ids),
+        settings, arguments, report)
+
+
+def write_with_parameters(
+    write_bag: Callable[[], None], settings: Settings, arguments: Namespace,
+    report: Iterable[str],
+) -> None:
+    """Write the bag by a function, and its parameters; then print a report, evaluated last."""
     path = Path(f'{arguments.output}.yaml')
     parameters.robot_names([robot.name for robot in settings.robots])
-    ids = {robot.name: robot.id for robot in settings.robots}
     with claimed(path, arguments.force):
-        bags.write(arguments.output, records, arguments.storage, arguments.force, ids)
+        write_bag()
         write_text(path, parameters.dump(parameters.RunSettings(settings)))
     print('\n'.join([*report, f'wrote {arguments.output} and {path}']))
