@@ -172,7 +172,7 @@ def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]
         yield (
             f'true headings of {robot} differ by {heading:.4f} rad from those by its direction of'
             ' travel, which are used: check the frame of its ground truth')
-    range_, bearing = observation_errors.MAX_ERROR
+    range_, bearing = observation_errors.LIMITS.max_error
     for robot, of_observations in found.observations().items():
         if of_observations.is_at_limit.any():
             yield (

@@ -33,11 +33,8 @@ from fej_slam_ros.core.settings import RobotSettings
 #: Maximum time between the two observations of a landmark [ns].
 MAX_LANDMARK_TIME = 3 * NS
 #: Limits of the errors of odometry and the bearing bias [rad].
-LIMITS = ErrorLimits(*(
-    np.append(of_odometry, of_bearing) for of_odometry, of_bearing in zip(
-        odometry_errors.LIMITS, (
-            0.0, 0.1, observation_errors.MAX_STANDARD_ERROR[1],
-            observation_errors.MIN_ERROR[1]))))
+LIMITS = ErrorLimits(*map(np.append, odometry_errors.LIMITS, (
+    of_both[1] for of_both in observation_errors.LIMITS)))
 #: Standard deviation of a coordinate of the position of the sensor [m], and the largest error that
 #: is searched. On circles about one centre, the position and the errors are the same.
 POSITION_SIGMA, MAX_POSITION = 0.02, 0.5

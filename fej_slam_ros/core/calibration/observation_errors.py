@@ -21,18 +21,16 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.calibration.offset_regression import Complex, regression
 from fej_slam_ros.core.calibration.shown_errors import (
-    BLOCK_TIME, ErrorEstimate, MIN_BLOCKS, MIN_FIT_PAIRS, MIN_SIGMAS)
+    BLOCK_TIME, ErrorEstimate, ErrorLimits, MIN_BLOCKS, MIN_FIT_PAIRS)
 from fej_slam_ros.core.calibration.team_records import NearTruth
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.records import AnyScan, Observation
 from fej_slam_ros.core.settings import RobotSettings
 
-#: Observations without systematic errors: range scale, bearing bias [rad].
-NO_ERRORS = np.array([1.0, 0.0])
-#: A value is determined if its standard error is below this.
-MAX_STANDARD_ERROR = np.array([0.01, 0.01])
-#: Smallest and largest difference of an error from NO_ERRORS.
-MIN_ERROR, MAX_ERROR = np.array([0.005, 0.005]), np.array([0.3, 0.3])
+#: Limits of the range scale and the bearing bias [rad].
+LIMITS = ErrorLimits(
+    none=np.array([1.0, 0.0]), prior_sigma=np.array([0.1, 0.1]),
+    max_standard_error=np.array([0.01, 0.01]), min_error=np.array([0.005, 0.005]))
 #: Number of an observed place that is recorded.
 RECORDED = -1
 
@@ -141,10 +139,7 @@ def _significant(
     found: Array, sigma: Array, given: Array, observations: int
 ) -> ErrorEstimate:
     """Return the errors that the data show; those not determined are as given."""
-    error = np.abs(found - NO_ERRORS)
-    at_limit, is_determined = error > MAX_ERROR, sigma < MAX_STANDARD_ERROR
-    known = is_determined & ~at_limit
-    shown = known & (error > np.maximum(MIN_SIGMAS * sigma, MIN_ERROR))
+    known, shown, at_limit = LIMITS.judged(found, sigma)
     return ErrorEstimate(
-        np.where(shown, found, np.where(known, NO_ERRORS, given)), sigma, known,
-        at_limit & is_determined, observations)
+        np.where(shown, found, np.where(known, LIMITS.none, given)), sigma, known,
+        at_limit & (sigma < LIMITS.max_standard_error), observations)

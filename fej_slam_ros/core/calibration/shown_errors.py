@@ -40,6 +40,13 @@ class ErrorLimits(NamedTuple):
         """Return the largest differences (n,) from `none` that are searched."""
         return 3.0 * self.prior_sigma
 
+    def judged(self, x: Array, sigma: Array) -> tuple[Flags, Flags, Flags]:
+        """Return which values (n,) are known, which of them are errors, and which at a limit."""
+        error = np.abs(x - self.none)
+        at_limit = error > 0.99 * self.max_error
+        known = (sigma < self.max_standard_error) & ~at_limit
+        return known, known & (error > np.maximum(MIN_SIGMAS * sigma, self.min_error)), at_limit
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorFit:
@@ -102,10 +109,7 @@ def shown_errors(
         of_blocks = np.sqrt(np.diag(P @ fit.covariance(block) @ P.T)[:n])
         sigma = np.maximum(of_independent, of_blocks)
         of_all = sigma if free.all() else of_all
-        error = np.abs(x - limits.none)
-        at_limit = error > 0.99 * limits.max_error
-        known = (sigma < limits.max_standard_error) & ~at_limit
-        shown = known & (error > np.maximum(MIN_SIGMAS * sigma, limits.min_error))
+        known, shown, at_limit = limits.judged(x, sigma)
         hidden = np.flatnonzero(free & ~shown)
         if not len(hidden):
             return ErrorEstimate(x, of_all, is_known, is_at_limit, len(stamps))

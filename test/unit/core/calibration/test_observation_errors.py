@@ -8,7 +8,7 @@ import numpy as np
 from numpy.testing import assert_array_equal
 import pytest
 
-from fej_slam_ros.core.calibration.observation_errors import fit_observations, NO_ERRORS
+from fej_slam_ros.core.calibration.observation_errors import fit_observations
 from fej_slam_ros.core.calibration.systematic_errors import errors_by_truth
 from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.geometry import compose, inverse, rotation, transform
@@ -18,6 +18,7 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 
 SIGMA, SECONDS = 0.05, 400
 R = SIGMA ** 2 * np.eye(2)
+NO_ERRORS = np.array([1.0, 0.0])
 
 
 def run(scale=1.0, bias=0.0, seed=1, speed=0.6, misaligned=0.0):
