@@ -107,7 +107,9 @@ REASONS = {
         ' `set_pose` is not `map_frame`',
     RejectionReason.TILTED:
         'roll and pitch together exceed 0.2 rad, of the robot or of the sensor on it',
-    RejectionReason.BAD_QUATERNION: 'the squared norm differs from 1 by more than 0.001',
+    RejectionReason.BAD_QUATERNION: (
+        'the squared norm differs from 1 by more than 0.01, the tolerance of tf2; within it, the'
+        ' quaternion is normalised'),
     RejectionReason.BAD_COVARIANCE:
         'not positive semi-definite; of an observation, of `set_pose`, and of odometry in the'
         ' smoother, not positive definite',

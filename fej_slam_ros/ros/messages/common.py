@@ -51,10 +51,10 @@ def to_pose(pose: Array) -> Pose:
 
 
 def from_quaternion(x: float, y: float, z: float, w: float) -> float:
-    """Return the yaw [rad] of a unit quaternion."""
+    """Return the yaw [rad] of a quaternion of any length."""
     # Exact for x = y = 0: the general formula loses bits of the half angle.
     return wrap(2.0 * math.atan2(z, w) if x == 0.0 == y else math.atan2(
-        2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z)))
+        2.0 * (w * z + x * y), w * w + x * x - y * y - z * z))
 
 
 def to_covariance(P: Array, unused_variance: float) -> Array:

@@ -34,8 +34,8 @@ MIN_VARIANCE = 1e-12
 MAX_VARIANCE = 1e12
 #: Block of a covariance that is unknown.
 UNKNOWN_COVARIANCE = [[0.0, 0.0, 0.0]] * 3
-#: Tolerance of a quaternion's squared norm, for senders that round.
-NORM_TOLERANCE = 1e-3
+#: Tolerance of a quaternion's squared norm, for senders that round; that of tf2.
+NORM_TOLERANCE = 1e-2
 #: Largest tilt of a robot [rad]; beyond it the planar model does not hold.
 MAX_TILT = 0.2
 
@@ -76,12 +76,14 @@ def spatial_pose(t: Vector3 | Point, q: Quaternion) -> Array:
     x, y, z, w = quaternion = q.x, q.y, q.z, q.w
     if not all(map(math.isfinite, (t.x, t.y, t.z, *quaternion))):
         raise RejectedError(RejectionReason.NOT_FINITE)
-    if abs(x * x + y * y + z * z + w * w - 1.0) > NORM_TOLERANCE:
+    norm = x * x + y * y + z * z + w * w
+    if abs(norm - 1.0) > NORM_TOLERANCE:
         raise RejectedError(RejectionReason.BAD_QUATERNION)
+    s = 2.0 / norm
     return np.array([
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y), t.x],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x), t.y],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y), t.z],
+        [1.0 - s * (y * y + z * z), s * (x * y - w * z), s * (x * z + w * y), t.x],
+        [s * (x * y + w * z), 1.0 - s * (x * x + z * z), s * (y * z - w * x), t.y],
+        [s * (x * z - w * y), s * (y * z + w * x), 1.0 - s * (x * x + y * y), t.z],
         [0.0, 0.0, 0.0, 1.0]])
 
 
@@ -101,7 +103,7 @@ def planar_pose(pose: Pose) -> Array:
             raise RejectedError(RejectionReason.OUT_OF_RANGE)
         if abs(norm - 1.0) > NORM_TOLERANCE:
             raise RejectedError(RejectionReason.BAD_QUATERNION)
-        if 2.0 * math.asin(min(1.0, math.hypot(x, y))) > MAX_TILT:
+        if 2.0 * math.asin(min(1.0, math.hypot(x, y) / math.sqrt(norm))) > MAX_TILT:
             raise RejectedError(RejectionReason.TILTED)
     return np.array([p.x, p.y, from_quaternion(*quaternion)])
 

@@ -96,6 +96,19 @@ def test_an_invalid_pose_is_rejected(convert, wrong, reason):
     assert refusal_of(convert, odometry_message(**wrong), 'r1') is reason
 
 
+@pytest.mark.parametrize('scale', [0.9951, 1.001, 1.0049])
+def test_a_quaternion_whose_norm_tf2_accepts_is_normalised(scale):
+    quaternion = Rotation.from_euler('ZYX', [2.0, 0.1, -0.1]).as_quat()
+    exact, scaled = (
+        odometry_message(quaternion=q).pose.pose for q in (quaternion, scale * quaternion))
+
+    np.testing.assert_allclose(
+        incoming.planar_pose(scaled), incoming.planar_pose(exact), rtol=1e-14)
+    np.testing.assert_allclose(
+        incoming.spatial_pose(scaled.position, scaled.orientation),
+        incoming.spatial_pose(exact.position, exact.orientation), rtol=0.0, atol=1e-14)
+
+
 def test_a_quaternion_in_single_precision_is_accepted():
     quaternion = np.float32([0.0, 0.0, 0.6, 0.8]).astype(float)
 
