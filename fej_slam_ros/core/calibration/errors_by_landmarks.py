@@ -35,9 +35,10 @@ MAX_LANDMARK_TIME = 3 * NS
 #: Limits of the errors of odometry and the bearing bias [rad].
 LIMITS = ErrorLimits(*map(np.append, odometry_errors.LIMITS, (
     of_both[1] for of_both in observation_errors.LIMITS)))
-#: Standard deviation of a coordinate of the position of the sensor [m], and the largest error that
-#: is searched. On circles about one centre, the position and the errors are the same.
-POSITION_SIGMA, MAX_POSITION = 0.02, 0.5
+#: Standard deviations of the position of the sensor [m]: ahead, where settings often leave it out,
+#: and aside; and the largest error that is searched. On circles about one centre, the former is a
+#: bearing bias and the latter a scale of distances.
+POSITION_SIGMA, MAX_POSITION = (0.1, 0.02), 0.5
 #: Maximum number of iterations by instruments, and the step of all values after which they end.
 MAX_ITERATIONS, MAX_STEP = 30, 1e-7
 
@@ -88,7 +89,7 @@ def _by_instruments(
     """
     free, x = np.append(free, [True, True]), np.append(fixed, np.zeros(2))
     none, start = np.append(LIMITS.none, np.zeros(2)), x
-    prior = np.diag(np.append(LIMITS.prior_sigma, [POSITION_SIGMA] * 2) ** -2.0)
+    prior = np.diag(np.append(LIMITS.prior_sigma, POSITION_SIGMA) ** -2.0)
     limits = np.where(free, np.append(LIMITS.max_error, [MAX_POSITION] * 2), 0.0)
     for _ in range(MAX_ITERATIONS):
         r = _differences(measured.pairs, x)

@@ -13,6 +13,8 @@ from helpers.wrong_odometry import run
 
 #: A sensor that is turned to the left observes all bearings too far to the right.
 LEFT, RIGHT = (0.0, 0.0, 0.03), (0.0, 0.0, -0.03)
+#: A sensor whose place on the robot is not in its settings.
+AHEAD = (0.3, 0.0, 0.0)
 
 
 def fit(odometry, scans, _=None, **given):
@@ -72,8 +74,10 @@ def test_a_sensor_beside_the_origin_is_not_turned(position):
     assert (errors.odometry.values == [1.0, 1.0, 0.0]).all()
 
 
-def test_on_circles_about_one_centre_a_bias_is_not_told_from_the_position():
-    found = fit(*run(radius=0.8, sensor=LEFT), observation_bearing_bias=0.01).observations
+@pytest.mark.parametrize(('radius', 'sensor'), [(0.8, LEFT), (4.0, LEFT), (4.0, AHEAD)])
+def test_on_circles_about_one_centre_a_bias_is_not_told_from_the_position(radius, sensor):
+    """On circles of 4 m, 0.3 m ahead is the same as 0.075 rad."""
+    found = fit(*run(radius=radius, sensor=sensor), observation_bearing_bias=0.01).observations
 
     assert not found.is_known[1]
     assert found.values[1] == 0.01
