@@ -74,7 +74,9 @@ def _motion(where: str, stamps: Stamps, moved: Array) -> Iterator[Finding]:
             'jump', where,
             f'{counted(len(jumps), "jump")}, the largest of {moved[largest, 0]:.3g} m and'
             f' {moved[largest, 1]:.3g} rad in {seconds(stamps[largest, 1] - stamps[largest, 0])}',
-            'give integrated odometry without resets or corrections of a localisation',
+            'give integrated odometry without resets or corrections of a localisation, or set'
+            ' <robot>.max_speed and <robot>.max_turn_rate to what the robot can drive: it then'
+            ' restarts at each jump',
             len(jumps), int(stamps[jumps[0], 1]))
 
 

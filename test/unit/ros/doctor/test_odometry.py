@@ -33,6 +33,17 @@ def test_a_displaced_robot_at_rest_has_jumped(index):
     assert findings_of(x) == ['jump']
 
 
+def test_the_cure_of_a_jump_names_the_limits_by_which_a_recorded_one_is_used():
+    x = np.repeat([0.0, 0.5], 50)
+    stamps = (np.arange(100) * NS // 10).tolist()
+
+    (finding,) = check('r1/odom', OdometrySeries(
+        stamps, stamps, poses=[(at, 0.0, 0.0) for at in x.tolist()],
+        variances=[[1e-2, 1e-2, 1e-3]] * 100))
+
+    assert '<robot>.max_speed and <robot>.max_turn_rate' in finding.cure
+
+
 def test_stamps_in_bursts_are_not_jumps():
     k = np.arange(200)
     # Every fortieth message has a stamp 0.1 ms after the one before it.
