@@ -6,6 +6,7 @@ ROS parameter files.
 A file means the same here as to ROS: of the sections that apply to a node, a later one wins.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 import json
 from pathlib import Path
@@ -56,7 +57,7 @@ def load_values(
     """Return the flat parameters in a ROS parameter file for some nodes, values unchecked."""
     names = [f'{namespace.rstrip("/")}/{node}' for node in nodes]
     values = {
-        name: value for section, name, value in _entries(_read_yaml(path))
+        name: value for section, name, value in _parameters(path)
         if any(_applies(section, node) for node in names)}
     if not values:
         raise UsageError(
@@ -76,7 +77,7 @@ def load_current_values(path: Path, nodes: Sequence[str]) -> dict[str, object]:
 def check_for_ros(path: Path) -> None:
     """Raise UsageError with the cure of the mistake for which ROS refuses a parameter file."""
     try:
-        parameters = [*_entries(_read_yaml(path))]
+        parameters = _parameters(path)
         if not parameters:
             raise UsageError(f'no parameters for a node: {PLACE}')
         for _, name, value in parameters:
@@ -139,6 +140,17 @@ def _read_yaml(path: Path) -> object:
         raise UsageError(f'correct line {line}, which is not YAML: {problem}') from error
     except (YAMLError, ValueError) as error:
         raise UsageError('not a YAML text: give the path of a ROS parameter file') from error
+
+
+def _parameters(path: Path) -> list[tuple[str, str, object]]:
+    """Return section, name and value of each parameter in a file; none is twice in a section."""
+    parameters = [*_entries(_read_yaml(path))]
+    names = Counter((section, name) for section, name, _ in parameters)
+    for (_, name), count in names.items():
+        if count > 1:
+            raise UsageError(
+                f'parameter {name!r} is given twice, with a dot and as a block: keep one of them')
+    return parameters
 
 
 def _entries(tree: object, path: tuple[str, ...] = ()) -> Iterator[tuple[str, str, object]]:

@@ -11,6 +11,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
     dump, ESTIMATOR, known_parameters, load, load_parsed, load_values, parse, RunSettings)
 from fej_slam_ros.ros.parameters.detector_settings import parse_detector
+from fej_slam_ros.ros.parameters.yaml_files import check_for_ros
 from helpers.optional import given
 from helpers.paths import ROOT
 from helpers.settings import TRICKY_NAMES, valid_settings
@@ -137,6 +138,18 @@ def test_a_parameter_that_is_given_twice_is_named_without_its_values(file):
         load(path)
     assert str(caught.value) == (
         f'{path}: correct line 4, which is not YAML: found duplicate key "robots"')
+
+
+def test_a_parameter_that_is_given_with_a_dot_and_as_a_block_is_named(file):
+    path = file(
+        '/**:\n  ros__parameters:\n    robots: [r1]\n    r1: {max_speed: 1.0}\n'
+        '    r1.max_speed: 50.0\n')
+    for read in (load, check_for_ros):
+        with pytest.raises(UsageError) as caught:
+            read(path)
+        assert str(caught.value) == (
+            f"{path}: parameter 'r1.max_speed' is given twice, with a dot and as a block: keep one"
+            ' of them')
 
 
 def test_a_file_that_cannot_be_read_is_named(tmp_path):
