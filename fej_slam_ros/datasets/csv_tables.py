@@ -163,12 +163,16 @@ def _require_odometry(folder: Path, records: Iterable[Record]) -> None:
 
 
 def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
-    """Raise a `UserError` if a robot's rows, in the order of recording, pass a time twice."""
+    """Raise a `UserError` if a robot's rows, as recorded, pass a time twice, or have only one."""
     stamps: dict[str, list[int]] = defaultdict(list)
     for record in odometry:
         if isinstance(record, Odometry):
             stamps[record.robot].append(record.stamp)
     for robot, recorded in stamps.items():
+        if len(recorded) > 1 and min(recorded) == max(recorded):
+            raise UserError(
+                f'{folder / "odometry.csv"}: all {len(recorded)} rows of {robot} have the same'
+                ' time: export it with all its digits, or as stamp_ns')
         of_robot = np.array(recorded)
         if len(steps_back(of_robot)) > MAX_SHARE_BACK * len(of_robot):
             continue

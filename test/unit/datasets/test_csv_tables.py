@@ -177,6 +177,19 @@ def test_a_damaged_row_is_named(tmp_path, rows, reason):
         csv_tables.read(folder)
 
 
+def test_odometry_whose_rows_have_one_time_is_refused(tmp_path):
+    """A spreadsheet has rounded Unix time to six digits."""
+    folder = write(tmp_path, odometry=(
+        'robot,time,x,y,yaw\na,1.70000E+09,0,0,0\na,1.70000E+09,1,0,0\nb,1,0,0,0\n'))
+
+    with pytest.raises(UserError) as rejected:
+        csv_tables.read(folder)
+
+    assert str(rejected.value) == (
+        f'{folder / "odometry.csv"}: all 2 rows of a have the same time: export it with all its'
+        ' digits, or as stamp_ns')
+
+
 @pytest.mark.parametrize(('head', 'row', 'reason'), [
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,now,1,0,0,1,0,1', "time is 'now'"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1e999999999,1,0,0,1,0,1', 'time is'),
