@@ -14,9 +14,3 @@ from fej_slam_ros.ros.parameters.adapter_settings import known_parameters
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = parameter_help(known_parameters())
-
-
-def run(arguments: argparse.Namespace) -> int:
-    from fej_slam_ros.ros.nodes.adapter import main
-
-    return main(arguments.ros_args)

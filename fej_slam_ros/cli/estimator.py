@@ -14,9 +14,3 @@ from fej_slam_ros.ros.parameters import ESTIMATOR, known_parameters
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = parameter_help(known_parameters(audience=ESTIMATOR))
-
-
-def run(arguments: argparse.Namespace) -> int:
-    from fej_slam_ros.ros.nodes.estimator import main
-
-    return main(arguments.ros_args)

@@ -4,8 +4,9 @@
 Run one verb: parse its arguments, call it, turn its errors into a message and an exit status.
 
 A verb is a module beside this one, listed in VERBS: a docstring, whose first line is its help,
-``add_arguments(parser)`` and ``run(arguments)``, which returns the exit status. Only the module of
-the requested verb is imported, so ``replay`` works without rclpy and the help is fast.
+``add_arguments(parser)`` and ``run(arguments)``, which returns the exit status; that of a node is
+``main(ros_args)`` of its module in ros/nodes. Only the module of the requested verb is imported,
+so ``replay`` works without rclpy and the help is fast.
 """
 
 import argparse
@@ -25,7 +26,7 @@ from fej_slam_ros.atomic_files import disk_error
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
-#: Verbs that are ROS nodes: ``arguments.ros_args`` holds ``--ros-args`` and all that follows.
+#: Verbs that are ROS nodes: their arguments are ``--ros-args`` and all that follows.
 NODES = ('estimator', 'simulator', 'smoother', 'detector', 'adapter')
 #: How nodes are given their arguments.
 NODE_ARGUMENTS = 'write --ros-args --params-file FILE, -p NAME:=VALUE or -r __ns:=/NAME'
@@ -177,6 +178,7 @@ def _call(command: str, verb: str, words: list[str]) -> int:
             f': {FILE_PARAMETERS}'
             if may_be_parameters and '--params' in parser.format_usage() else '')
         parser.error(f'unrecognized arguments: {" ".join(unknown)}{cure}')
-    arguments.ros_args = words[ros:]
-    status: int = module.run(arguments)
+    status: int = (
+        import_module(f'fej_slam_ros.ros.nodes.{verb}').main(words[ros:]) if verb in NODES
+        else module.run(arguments))
     return status

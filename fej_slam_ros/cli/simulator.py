@@ -14,9 +14,3 @@ from fej_slam_ros.ros.session.simulation import PARAMETERS
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = parameter_help(PARAMETERS)
-
-
-def run(arguments: argparse.Namespace) -> int:
-    from fej_slam_ros.ros.nodes.simulator import main
-
-    return main(arguments.ros_args)

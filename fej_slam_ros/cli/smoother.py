@@ -23,9 +23,3 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         f'{parameter_help(known_parameters(audience=SMOOTHER))}\n'
         f'ignored, of the estimator only:\n{ignored}')
-
-
-def run(arguments: argparse.Namespace) -> int:
-    from fej_slam_ros.ros.nodes.smoother import main
-
-    return main(arguments.ros_args)
