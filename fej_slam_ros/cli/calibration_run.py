@@ -16,7 +16,7 @@ from fej_slam_ros.core.calibration.from_truth import (
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
-from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate
+from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_GAIN
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
 from fej_slam_ros.core.offline_matching import Received
@@ -30,9 +30,6 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 #: Maximum number of times that observations without IDs are matched, and the change of the
 #: logarithm of a factor below which they are not matched again.
 MAX_MATCHINGS, MAX_LOG_CHANGE = 8, 0.05
-#: Gain of the log-likelihood from which wrong distances are wrong ranges: of three standard
-#: deviations, 4.5, for errors that persist over ten observations.
-MIN_GAIN = 45.0
 
 #: Sources of scales: without ground truth, innovations over some seconds and, of what these do not
 #: determine, single ones.

@@ -23,6 +23,9 @@ MIN_FIT_PAIRS = 60
 BLOCK_TIME, MIN_BLOCKS = 10 * NS, 10
 #: Minimum number of standard errors of an error.
 MIN_SIGMAS = 4.0
+#: Gain of the log-likelihood by an error from which there is one: of three standard deviations,
+#: 4.5, for errors that persist over ten observations.
+MIN_GAIN = 45.0
 
 
 class ErrorLimits(NamedTuple):

@@ -34,9 +34,8 @@ class TeamRecords:
             elif isinstance(record, RobotScan):
                 self.robot_scans[record.robot].append(record)
         for robot in robots:
-            self.odometry[robot].sort(key=attrgetter('stamp'))
-            self.scans[robot].sort(key=attrgetter('stamp'))
-            self.robot_scans[robot].sort(key=attrgetter('stamp'))
+            for of_kind in (self.odometry, self.scans, self.robot_scans):
+                of_kind[robot].sort(key=attrgetter('stamp'))
         #: true poses of each robot
         self.near = {
             robot: NearTruth(self.truth, robot, self.odometry[robot]) for robot in robots}

@@ -9,6 +9,7 @@ import math
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from fej_slam_ros.core.calibration.shown_errors import MIN_GAIN
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, OFFSET_SIGMA
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
@@ -22,9 +23,6 @@ MIN_SIGMA = 1e-3
 OFFSET_WINDOW = 60.0
 #: Standard deviations of the systematic errors of a camera's ranges: offset [m], and per metre.
 RANGE_ERROR_SIGMA = np.array([0.05, 0.02])
-#: Gain of the log-likelihood by a constant part of that noise from which there is one: of three
-#: standard deviations, 4.5, for errors that persist over ten observations.
-MIN_GAIN = 45.0
 #: Longest delay of cameras, length of the intervals in each of which it is sought, as the fit has
 #: several minima, and the standard deviation of the delay where no robot turns [s]. Against
 #: ground truth that is stamped late, delays are negative.
