@@ -18,10 +18,23 @@ from numpy.typing import NDArray
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, RendezvousMeasurement
 from fej_slam_ros.core.csam.rendezvous_alignment import alignment_window
+from fej_slam_ros.core.csam.team_solution import SmoothingTask, solve, TeamMap
 from fej_slam_ros.core.gauss_newton import SingularError
 from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.smoothing.factors import concatenated
 from fej_slam_ros.core.smoothing.marginals import Information
+
+#: Sizes [bytes] of the messages that align two maps by form, for each (sender, receiver).
+MessageSizes = Mapping[tuple[str, str], Mapping[str, int]]
+
+
+def solution_and_sizes(task: SmoothingTask) -> tuple[TeamMap, MessageSizes]:
+    """Return the solution of a task, and the sizes of messages between the solved robots."""
+    team_map = solve(task)
+    maps = [local for local in task.maps if local.robot not in team_map.unsolved]
+    names = {local.robot for local in maps}
+    return team_map, sizes(
+        maps, [m for m in task.measurements if {m.observer, m.observed} <= names])
 
 
 def sizes(

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """One run of the smoother, live or from a bag: messages in, publications and files out."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, replace
 from heapq import merge
 from itertools import chain
@@ -10,9 +10,8 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
-from fej_slam_ros.core.csam.final_solution import final_solution, FinalSolution
 from fej_slam_ros.core.csam.matched_smoother import MatchedTeamSmoother
-from fej_slam_ros.core.csam.message_sizes import smallest
+from fej_slam_ros.core.csam.message_sizes import MessageSizes, smallest, solution_and_sizes
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
@@ -74,7 +73,7 @@ class SmootherSession(Session):
         _refuse_exact_odometry(settings.estimation)
         self.settings = settings
         self._create(solve_every)
-        self.message_sizes: Mapping[tuple[str, str], Mapping[str, int]] = {}
+        self.message_sizes: MessageSizes = {}
         self._solve_finally = solve_finally
         self._pause_end = 0  # of solutions [ns]
         self._files = None if folder is None else open_files(
@@ -130,7 +129,7 @@ class SmootherSession(Session):
 
     def final_solving(self) -> Solving:
         """Return what computes the solution at the end of the input."""
-        return final_solution, self.team.task()
+        return solution_and_sizes, self.team.task()
 
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
         """Adopt a solution and yield its publications."""
@@ -141,10 +140,10 @@ class SmootherSession(Session):
         """Report the error for which a task has no result; the solution before stays."""
         self._report_unsolved((local.robot for local in task.maps), error)
 
-    def adopt_finally(self, final: FinalSolution) -> Iterator[Publication]:
+    def adopt_finally(self, final: tuple[TeamMap, MessageSizes]) -> Iterator[Publication]:
         """Adopt the solution at the end of the input and yield its publications."""
-        self.message_sizes = final.message_sizes
-        yield from self.adopt(final.team_map)
+        solution, self.message_sizes = final
+        yield from self.adopt(solution)
 
     def write_files(self) -> dict[str, Any]:
         content = {
