@@ -129,8 +129,7 @@ def _write_parameters(
 def _draw(
     picture: Path, title: str, results: Path, world: World, simulated: simulation.Simulation
 ) -> None:
-    from fej_slam_ros.experiments.common.laser_scene import draw_laser_world
-    from fej_slam_ros.experiments.common.tag_scene import draw_tag_world
+    from fej_slam_ros.experiments.common.sensor_scenes import draw_laser_world, draw_tag_world
 
     def draw_world(axes: 'Axes') -> None:
         environment = simulated.environment

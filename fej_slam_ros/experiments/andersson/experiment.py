@@ -164,19 +164,12 @@ def gain(truth: RendezvousWorld, maps: Sequence[LocalMap], joint: JointMap) -> J
 def heading_sigmas(joint: JointMap, robot: str) -> Array:
     """Return (K + 1,) standard deviations of a robot's heading [rad], in its start's frame."""
     P, _ = in_own_frame(joint, robot).information().marginals()
-    return np.sqrt(P[poses_of(joint, robot), 2, 2])
+    return np.sqrt(P[joint.poses_of(robot), 2, 2])
 
 
 def in_own_frame(joint: JointMap, robot: str) -> JointMap:
     """Return a map in the frame of the start of one of its robots, which is exact there."""
     return joint.in_frame_of(joint.first_poses[robot])
-
-
-def poses_of(joint: JointMap, robot: str) -> slice:
-    """Return the indices of a robot's poses."""
-    first = joint.first_poses[robot]
-    later = [other for other in joint.first_poses.values() if other > first]
-    return slice(first, min(later, default=len(joint.values.poses)))
 
 
 def longest_gap(local: LocalMap) -> tuple[int, int]:

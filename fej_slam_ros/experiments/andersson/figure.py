@@ -11,7 +11,7 @@ import numpy as np
 
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.experiments.andersson.experiment import (
-    before_association, CsamSolution, EXPERIMENTS, heading_sigmas, in_own_frame, poses_of)
+    before_association, CsamSolution, EXPERIMENTS, heading_sigmas, in_own_frame)
 from fej_slam_ros.experiments.common.drawing import draw_ellipses, TRUTH_COLOUR
 from fej_slam_ros.palette import ROBOT_COLOURS
 
@@ -73,7 +73,7 @@ def _draw_gain(axes: Axes, solution: CsamSolution, joint: JointMap) -> None:
         indices = q_map.landmark_index()
         landmarks = [indices[key] for key in q.landmarks]
         P, P_points = q_map.information().marginals()
-        poses = poses_of(q_map, q.robot)
+        poses = q_map.poses_of(q.robot)
         drawn = slice(poses.start, poses.stop, POSE_STRIDE)
         draw_ellipses(axes, q_map.values.poses[drawn], P[drawn], colour, PAPER_SIGMAS)
         draw_ellipses(
@@ -115,7 +115,7 @@ def draw_map(axes: Axes, joint: JointMap, sigmas: float = PAPER_SIGMAS) -> None:
     """Draw trajectories and landmarks of all robots with their covariances."""
     P, P_points = joint.information().marginals()
     for robot, colour in zip(joint.robots, ROBOT_COLOURS):
-        poses = poses_of(joint, robot)
+        poses = joint.poses_of(robot)
         axes.plot(
             *joint.values.poses[poses, :2].T, color=colour, linewidth=1.0, label=robot.upper())
         drawn = slice(poses.start, poses.stop, POSE_STRIDE)

@@ -1,9 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A laser world behind the estimates: walls, posts, and a scan of each robot."""
+"""Worlds of lasers or tags behind the estimates, and what each robot sees at the end."""
+
+import math
 
 from matplotlib.axes import Axes
-from matplotlib.patches import Circle
+from matplotlib.patches import Circle, Wedge
 import numpy as np
 
 from fej_slam_ros.core.geometry import transform
@@ -11,6 +13,10 @@ from fej_slam_ros.experiments.common.drawing import TRUTH_COLOUR
 from fej_slam_ros.palette import robot_colour
 from fej_slam_ros.sim.laser_world import LaserWorld
 from fej_slam_ros.sim.lidar import LidarSettings, true_ranges
+from fej_slam_ros.sim.tags import CameraSettings, TagWorld
+
+#: Length of the normal of a tag in the picture [m].
+NORMAL = 0.5
 
 
 def draw_laser_world(axes: Axes, world: LaserWorld, lidar: LidarSettings) -> None:
@@ -29,3 +35,18 @@ def draw_laser_world(axes: Axes, world: LaserWorld, lidar: LidarSettings) -> Non
             *transform(poses[-1], points).T, '.', markersize=2, color=robot_colour(index),
             alpha=0.6)
     axes.plot([], [], '.', color='0.4', label='laser scan at the end')
+
+
+def draw_tag_world(axes: Axes, world: TagWorld, camera: CameraSettings) -> None:
+    """Draw the direction in which each tag faces, and what each camera sees at the end."""
+    for id_, (x, y) in world.landmarks.items():
+        normal = world.normals[id_]
+        axes.plot(
+            [x, x + NORMAL * math.cos(normal)], [y, y + NORMAL * math.sin(normal)],
+            color=TRUTH_COLOUR, linewidth=1.0)
+    half = camera.field_of_view / 2.0
+    for index, poses in enumerate(world.true_poses.values()):
+        x, y, heading = poses[-1].tolist()
+        axes.add_patch(Wedge(
+            (x, y), camera.range, math.degrees(heading - half), math.degrees(heading + half),
+            facecolor=robot_colour(index), alpha=0.15))
