@@ -156,25 +156,17 @@ def _scan_findings(
     """Yield what explains a disagreement of scans; `other` is that by beams in reverse order."""
     if fit is None:
         return
-    if other is not None and _explains(other, fit):
-        yield _reversed_beams(robot, fit, other, not reversed_beams)
+    # Whether beams in the other order explain it, and nothing else better.
+    if other is not None and other.as_given < min(
+            REVERSED * fit.as_given, fit.moved, fit.delayed, fit.mirrored):
+        yield error(
+            'reversed_beams', f'{robot}/scan',
+            'the beams seem to be in the reverse order of time:'
+            f' {other.as_given / fit.as_given:.0%} of the disagreement between observations would'
+            ' remain otherwise',
+            f'set reversed_beams of the detector to {str(not reversed_beams).lower()}', fit.pairs)
     else:
         yield from findings(f'{robot}/scan', fit)
-
-
-def _explains(other: SensorFit, fit: SensorFit) -> bool:
-    """Return whether beams in the other order explain a disagreement, and nothing else better."""
-    return other.as_given < min(
-        REVERSED * fit.as_given, fit.moved, fit.delayed, fit.mirrored)
-
-
-def _reversed_beams(robot: str, fit: SensorFit, other: SensorFit, needed: bool) -> Finding:
-    share = other.as_given / fit.as_given
-    return error(
-        'reversed_beams', f'{robot}/scan',
-        f'the beams seem to be in the reverse order of time: {share:.0%} of the disagreement'
-        ' between observations would remain otherwise',
-        f'set reversed_beams of the detector to {str(needed).lower()}', fit.pairs)
 
 
 def _conditions(
