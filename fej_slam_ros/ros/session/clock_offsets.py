@@ -20,30 +20,22 @@ class ClockOffsets:
     """
 
     def __init__(self) -> None:
-        # Number and delay of the messages of each robot that are faster than all later ones, so
-        # that the first is the fastest and the last the newest.
-        self._fastest: defaultdict[str, deque[tuple[int, int]]] = defaultdict(deque)
+        self._delays: defaultdict[str, deque[int]] = defaultdict(lambda: deque(maxlen=MAX_DELAYS))
 
     def add(self, robot: str, delay: int) -> None:
         """Add the delay [ns] of a message."""
-        fastest = self._fastest[robot]
-        number = fastest[-1][0] + 1 if fastest else 1
-        while fastest and fastest[-1][1] >= delay:
-            fastest.pop()
-        fastest.append((number, delay))
-        if fastest[0][0] <= number - MAX_DELAYS:
-            fastest.popleft()
+        self._delays[robot].append(delay)
 
     def remove_robot(self, robot: str) -> None:
         """Delete the delays of a robot that was removed."""
-        self._fastest.pop(robot, None)
+        self._delays.pop(robot, None)
 
     def delay(self, robot: str) -> int | None:
         """Return the smallest recent delay [ns], None without messages."""
-        return self._fastest[robot][0][1] if robot in self._fastest else None
+        return min(self._delays[robot]) if robot in self._delays else None
 
     def offset(self, robot: str) -> int | None:
         """Return how far [ns] a robot's clock is ahead of the others', None if unknown."""
         own = self.delay(robot)
-        others = [fastest[0][1] for other, fastest in self._fastest.items() if other != robot]
+        others = [min(delays) for other, delays in self._delays.items() if other != robot]
         return None if own is None or not others else round(median(others) - own)
