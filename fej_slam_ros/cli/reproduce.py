@@ -37,7 +37,7 @@ from fej_slam_ros.experiments.liu import (
 from fej_slam_ros.experiments.liu.configurations import Configuration, CONFIGURATIONS
 from fej_slam_ros.experiments.liu.monte_carlo import (
     Errors, simulate, table_runs, table_tasks, TableRuns)
-from fej_slam_ros.experiments.real_data import mrclam, mrclam_report, raw_victoria_park
+from fej_slam_ros.experiments.real_data import mrclam, raw_victoria_park
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.sim.world import World
 
@@ -205,26 +205,24 @@ def _mrclam(order: Order) -> None:
     folders, refused = mrclam.sets(order.arguments.data)
     for name, reason in refused.items():
         print(f'{name} is left out: {reason}')
-    _real_runs(order, mrclam.run, mrclam.tasks(folders), mrclam_report)
+    _real_runs(order, mrclam, mrclam.tasks(folders))
 
 
 def _raw_victoria_park(order: Order) -> None:
-    tasks = raw_victoria_park.tasks(order.arguments.data)
-    _real_runs(order, raw_victoria_park.run, tasks, raw_victoria_park)
+    _real_runs(order, raw_victoria_park, raw_victoria_park.tasks(order.arguments.data))
 
 
-def _real_runs(
-    order: Order, run: Callable[[Any], Any], tasks: Sequence[Any], report: Any
-) -> None:
+def _real_runs(order: Order, experiment: Any, tasks: Sequence[Any]) -> None:
+    """Run the tasks of a module of an experiment, and write its page and JSON."""
     (name,) = order.parts
 
     def keep(runs: Sequence[Any]) -> None:
-        text = report.markdown(runs)
+        text = experiment.markdown(runs)
         write_text(order.output / f'{name}.md', text)
-        write_json(order.output / f'{name}.json', report.summary(runs))
+        write_json(order.output / f'{name}.json', experiment.summary(runs))
         print(text)
 
-    monte_carlo.run_all(order.arguments, run, tasks, keep)
+    monte_carlo.run_all(order.arguments, experiment.run, tasks, keep)
 
 
 def _victoria_park(order: Order) -> None:

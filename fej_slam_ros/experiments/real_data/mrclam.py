@@ -9,10 +9,10 @@ without it are not evaluated. Least squares has the same measurements and noise,
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -34,10 +34,27 @@ from fej_slam_ros.datasets.mrclam.series import Series
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.real_data.causal_least_squares import (
     causal_least_squares, CausalErrors)
+from fej_slam_ros.tables import markdown_table
 
 MRCLAM_FILTERS = ('standard', 'fej', 'invariant')
 #: Name of the smoother's solution among the filters.
 LEAST_SQUARES = 'least squares'
+CAUSAL_NOTES = """\
+The newest pose of each robot once a minute: of least squares over all until then, which is what a
+filter can reach with the same measurements and noise, and of `fej` at the same stamps."""
+CAUSAL_TITLES = (
+    'set', 'robot-to-robot observations', 'poses', 'least squares [m]', 'fej [m]')
+MRCLAM_NOTES = """\
+Robots run from the commands, scaled, delayed and with the noise that `convert mrclam` measures;
+all but the anchor have unknown starts. Position and heading errors are root mean squares over all
+true poses of all robots, as estimated (in the frame of the anchor's given start) and after one
+rigid fit of all robots; NEES/3 and NIS/2 are means. Landmarks are compared after the same fit.
+Robots without ground truth take part and are not evaluated. Least squares is that of `smooth`; it
+knows the later measurements too. Dead reckoning starts each robot at its true pose."""
+MRCLAM_TITLES = (
+    'set', 'filter', 'robot-to-robot observations', 'position [m]', 'after a fit [m]',
+    'worst robot [m]', 'heading [rad]', 'after a fit [rad]', 'NEES/3', 'NIS/2', 'landmarks',
+    'landmarks [m]', 'in map, least [%]', 'time [s]')
 
 
 @dataclass(frozen=True)
@@ -153,6 +170,29 @@ def run(task: MrclamTask) -> MrclamRun:
     if task.filter == LEAST_SQUARES:
         return _smoothed(task, data, settings, records)
     return _filtered(task, data, replace(settings, filter=task.filter), records)
+
+
+def markdown(runs: Sequence[MrclamRun]) -> str:
+    """Return the runs as a page."""
+    first_of_set = {result.task.name: result for result in reversed(runs)}
+    drifts = [
+        f'{name}: {", ".join(f"{robot} {e:.2f}" for robot, e in result.dead_reckoning.items())}'
+        for name, result in sorted(first_of_set.items()) if result.dead_reckoning]
+    return '\n\n'.join([
+        '# MRCLAM', MRCLAM_NOTES, markdown_table(MRCLAM_TITLES, map(_row, runs), (0, 1, 2)),
+        CAUSAL_NOTES, markdown_table(CAUSAL_TITLES, [
+            _causal_row(result.task, result.causal) for result in runs
+            if result.causal and result.causal.poses],
+            (0, 1)),
+        f'Dead reckoning, position RMSE [m]: {"; ".join(drifts)}.']) + '\n'
+
+
+def summary(runs: Sequence[MrclamRun]) -> list[dict[str, Any]]:
+    """Return the runs for a JSON file."""
+    return [asdict(result) | {'task': {
+        'set': result.task.name, 'filter': result.task.filter,
+        'robots_seen': result.task.robots_seen}}
+        for result in runs]
 
 
 def _filtered(
@@ -286,3 +326,20 @@ def _rmse(estimated: Array, true: Array) -> tuple[float, float]:
     """Return the RMSE of positions [m] and headings [rad] of poses (n, 3)."""
     errors = pose_error(estimated, true)
     return root_mean_square(errors[:, :2]), root_mean_square(errors[:, 2:])
+
+
+def _row(result: MrclamRun) -> list[str]:
+    return [
+        result.task.name, result.task.filter, 'used' if result.task.robots_seen else 'not used',
+        f'{result.position:.3f}', f'{result.fitted_position:.3f}',
+        f'{max(result.of_robots.values()):.3f}',
+        f'{result.heading:.4f}', f'{result.fitted_heading:.4f}', f'{result.nees:.2f}',
+        '' if result.nis is None else f'{result.nis:.2f}',
+        f'{result.landmarks} of {result.true_landmarks}', f'{result.landmark_rmse:.3f}',
+        f'{100.0 * min(result.in_map.values()):.1f}', f'{result.seconds:.0f}']
+
+
+def _causal_row(task: MrclamTask, causal: CausalErrors) -> list[str]:
+    return [
+        task.name, 'used' if task.robots_seen else 'not used', str(causal.poses),
+        f'{causal.least_squares:.3f}', f'{causal.filter:.3f}']
