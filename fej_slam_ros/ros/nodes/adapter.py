@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``adapter``: poses of tags and other objects in, landmarks and robots out."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from functools import partial
 
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files.ids_file import IdsFile
@@ -10,11 +11,6 @@ from fej_slam_ros.ros.nodes.endpoints import check_installed
 from fej_slam_ros.ros.nodes.front_end import FrontEndNode, spin
 from fej_slam_ros.ros.parameters.adapter_settings import known_parameters, parse_adapter
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
-
-
-def main(ros_args: Sequence[str]) -> int:
-    """Run the node until a signal arrives; return 0."""
-    return spin(ros_args, AdapterNode)
 
 
 class AdapterNode(FrontEndNode):
@@ -56,3 +52,7 @@ class AdapterNode(FrontEndNode):
             self._unsaved, self._error = dict(ids), str(raised)
         if self._error not in {'', error}:
             self.get_logger().warning(f'ids_file: {self._error}')
+
+
+#: Runs the node until a signal arrives; returns 0.
+main = partial(spin, make_node=AdapterNode)

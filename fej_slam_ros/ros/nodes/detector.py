@@ -2,16 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``detector``: scans of planar lasers and odometry in, landmarks out."""
 
-from collections.abc import Sequence
+from functools import partial
 
 from fej_slam_ros.ros.nodes.front_end import FrontEndNode, spin
 from fej_slam_ros.ros.parameters.detector_settings import known_parameters, parse_detector
 from fej_slam_ros.ros.session.detector_session import DetectorSession
-
-
-def main(ros_args: Sequence[str]) -> int:
-    """Run the node until a signal arrives; return 0."""
-    return spin(ros_args, DetectorNode)
 
 
 class DetectorNode(FrontEndNode):
@@ -21,3 +16,7 @@ class DetectorNode(FrontEndNode):
         super().__init__('detector')
         settings = parse_detector(self.given, self.get_logger().warning)
         self.start(DetectorSession(settings), settings, known_parameters(settings.robots))
+
+
+#: Runs the node until a signal arrives; returns 0.
+main = partial(spin, make_node=DetectorNode)

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The node ``estimator``: odometry and observations in, poses, map and diagnostics out."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 from time import monotonic
 from typing import Any
@@ -133,6 +134,5 @@ class EstimatorNode(SessionNode):
         return published
 
 
-def main(ros_args: Sequence[str]) -> int:
-    """Run the node until SIGINT, SIGTERM or its lifecycle shutdown; return the exit status."""
-    return spin(ros_args, EstimatorNode)
+#: Runs the node until SIGINT, SIGTERM or its lifecycle shutdown; returns the exit status.
+main = partial(spin, make_node=EstimatorNode)

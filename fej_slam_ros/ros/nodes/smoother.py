@@ -7,7 +7,7 @@ New poses are added between callbacks, a few at a time. The solution for all mea
 long, so another process computes it from a copy of them; poses added meanwhile follow from it.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 import sys
@@ -184,6 +184,5 @@ class SmootherNode(SessionNode):
         return True
 
 
-def main(ros_args: Sequence[str]) -> int:
-    """Run the node until SIGINT, SIGTERM or its lifecycle shutdown; return the exit status."""
-    return spin(ros_args, SmootherNode)
+#: Runs the node until SIGINT, SIGTERM or its lifecycle shutdown; returns the exit status.
+main = partial(spin, make_node=SmootherNode)

@@ -21,7 +21,7 @@ from fej_slam_ros.ros.messages.object_formats import FORMATS, SensedObjects
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.session.adapter_counts import AdapterCounts
 from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps
-from fej_slam_ros.ros.session.front_end import RobotCounts
+from fej_slam_ros.ros.session.front_end import FrontEnd, RobotCounts
 from fej_slam_ros.ros.session.landmark_ids import LandmarkIds, number_of
 from fej_slam_ros.ros.session.object_queue import ObjectQueue, ObjectScan, Origin
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
@@ -34,7 +34,7 @@ from fej_slam_ros.ros.topic_types import (
 MAX_MESSAGE_OBJECTS, MAX_MESSAGE_SIZE = 2_000, 4_000_000
 
 
-class AdapterSession:
+class AdapterSession(FrontEnd):
     """
     Adapter of all robots: messages in, messages out.
 
@@ -48,10 +48,7 @@ class AdapterSession:
 
     Attributes
     ----------
-    robots : the robots by name
-    topics : types of the topics that are read, by topic
     object_topics : the topics with objects
-    outputs : types of the topics that are published, by topic
 
     """
 
@@ -87,7 +84,6 @@ class AdapterSession:
             self.robots, self.object_topics, self._frames, self._queue, self._ids)
 
     def receive(self, arrived: RawMessage) -> None:
-        """Add a message, or count its rejection."""
         topic = arrived.topic.lstrip('/')
         name, _, kind = topic.rpartition('/')
         if topic in self._formats:
@@ -98,7 +94,6 @@ class AdapterSession:
             self._frames.receive(arrived)
 
     def take(self, is_wanted: IsWanted = lambda _: True) -> Iterator[Publication]:
-        """Yield what is to be published of the messages whose sensors are known."""
         latest = self._ids_stamp
         for robot, sensor, scan in self._queue.take():
             yield from self._published(robot, sensor, scan, is_wanted)
@@ -109,13 +104,11 @@ class AdapterSession:
             yield from self._new_ids()
 
     def close(self) -> Iterator[Publication]:
-        """Yield what is to be published at the end of the input, and reject what still waits."""
         yield from self.take()
         yield from self._new_ids()
         self._queue.close()
 
     def counts(self) -> Iterator[RobotCounts]:
-        """Yield each robot, a warning or '', and the counts of its messages and observations."""
         return self._counts.report()
 
     def _topics(self, format_name: str) -> Iterator[str]:

@@ -20,7 +20,7 @@ from fej_slam_ros.ros.messages import (
     decoded_as, incoming, laser, markers, Message, outgoing, RawMessage)
 from fej_slam_ros.ros.messages.laser import ScanFault, ScanFaultError
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
-from fej_slam_ros.ros.session.front_end import RobotCounts
+from fej_slam_ros.ros.session.front_end import FrontEnd, RobotCounts
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
 from fej_slam_ros.ros.session.robot_detector import RobotDetector
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
@@ -28,7 +28,7 @@ from fej_slam_ros.ros.topic_types import (
     CLOUD, DIAGNOSTICS_TOPIC, LASER_SCAN, MARKERS_TOPIC, ODOMETRY, OUTPUT_TYPES)
 
 
-class DetectorSession:
+class DetectorSession(FrontEnd):
     """
     Detectors of all robots: messages in, messages out.
 
@@ -37,9 +37,6 @@ class DetectorSession:
 
     Attributes
     ----------
-    robots : the robots by name
-    topics : types of the topics that are read, by topic
-    outputs : types of the topics that are published, by topic
     detectors : the detectors by robot
 
     """
@@ -59,7 +56,6 @@ class DetectorSession:
             DIAGNOSTICS_TOPIC: OUTPUT_TYPES[DIAGNOSTICS_TOPIC]}
 
     def receive(self, arrived: RawMessage) -> None:
-        """Add a message, or count its rejection."""
         name, _, kind = arrived.topic.lstrip('/').rpartition('/')
         if self._frames.receive(arrived):
             return
@@ -91,13 +87,11 @@ class DetectorSession:
                     yield from self._published(name, scan, landmarks, is_wanted)
 
     def close(self) -> Iterator[Publication]:
-        """Yield what is to be published of the last scans at the end of the input."""
         for name, state in self.detectors.items():
             for scan, landmarks in state.detector.close():
                 yield from self._published(name, scan, landmarks, lambda _: True)
 
     def counts(self) -> Iterator[RobotCounts]:
-        """Yield each robot, a warning or '', and the counts of its scans and landmarks."""
         for name, state in self.detectors.items():
             yield name, state.warning(), state.counts(self._frames.rejected.total())
 

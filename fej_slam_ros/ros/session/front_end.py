@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The front end of SLAM, live or from a bag: observations of landmarks from data of sensors."""
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from typing import Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
 
+from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import outgoing, RawMessage
 from fej_slam_ros.ros.session.input_faults import Level
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
@@ -14,30 +15,35 @@ from fej_slam_ros.ros.topic_types import DIAGNOSTICS_TOPIC
 RobotCounts = tuple[str, str, dict[str, int]]
 
 
-class FrontEnd(Protocol):
-    """A front end of some robots: messages in, messages out."""
+class FrontEnd(ABC):
+    """
+    A front end of some robots: messages in, messages out.
 
-    @property
-    def robots(self) -> Collection[str]:
-        """Return the names of the robots."""
+    Attributes
+    ----------
+    robots : the robots by name
+    topics : types of the topics that are read, by topic
+    outputs : types of the topics that are published, by topic
 
-    @property
-    def topics(self) -> Mapping[str, str]:
-        """Return the types of the topics that are read, by topic."""
+    """
 
-    @property
-    def outputs(self) -> Mapping[str, str]:
-        """Return the types of the topics that are published, by topic."""
+    robots: Mapping[str, RobotSettings]
+    topics: Mapping[str, str]
+    outputs: Mapping[str, str]
 
+    @abstractmethod
     def receive(self, arrived: RawMessage) -> None:
         """Add a message, or count its rejection."""
 
+    @abstractmethod
     def take(self, is_wanted: IsWanted = lambda _: True) -> Iterator[Publication]:
         """Yield what is to be published now; markers are left out where they are not wanted."""
 
+    @abstractmethod
     def close(self) -> Iterator[Publication]:
-        """Yield what is to be published at the end of the input."""
+        """Yield what is to be published at the end of the input, and reject what still waits."""
 
+    @abstractmethod
     def counts(self) -> Iterator[RobotCounts]:
         """Yield each robot, a warning or '', and the counts of its input and output."""
 
