@@ -30,6 +30,7 @@ class NodeFiles:
 
     Attributes
     ----------
+    checkpoint : writes checkpoints, None if there is no file for them
     has_failed : whether files of any run are not complete
 
     """
@@ -41,7 +42,7 @@ class NodeFiles:
         self._is_first = True
         self._notes: dict[str, str] = {}
         self._logged: set[str] = set()
-        self._checkpoint: CheckpointWriter | None = None
+        self.checkpoint: CheckpointWriter | None = None
         self._exchange: LiveExchangeFile | None = None
         self.has_failed = False
 
@@ -71,7 +72,7 @@ class NodeFiles:
 
     def open_checkpoint(self, path: str) -> None:
         """Lock the file for checkpoints, unless its name is empty."""
-        self._checkpoint = CheckpointWriter(Path(path)) if path else None
+        self.checkpoint = CheckpointWriter(Path(path)) if path else None
 
     def open_exchange(self, path: Path, robot: str) -> LiveExchangeFile:
         """Open the file of the exchange of a robot; a run after a reset continues it."""
@@ -86,30 +87,8 @@ class NodeFiles:
     @property
     def _writers(self) -> dict[str, CheckpointWriter | LiveExchangeFile]:
         """Return what writes the files other than those of the output, by parameter."""
-        found = {'checkpoint': self._checkpoint, 'exchange_file': self._exchange}
+        found = {'checkpoint': self.checkpoint, 'exchange_file': self._exchange}
         return {name: writer for name, writer in found.items() if writer is not None}
-
-    @property
-    def is_saving(self) -> bool:
-        """Return whether a checkpoint is being written."""
-        return self._checkpoint is not None and self._checkpoint.is_busy
-
-    def begin_checkpoint(self, content: bytes) -> None:
-        """Begin to write a checkpoint."""
-        if self._checkpoint is not None:
-            self._checkpoint.begin(content)
-
-    def begin_last_checkpoint(self, content: bytes) -> None:
-        """Begin to write the checkpoint of the end of a run, after one that is being written."""
-        if self._checkpoint is not None:
-            error = self._checkpoint.wait(REQUEST_WAIT)
-            if not self._checkpoint.begin(content):
-                self.note('checkpoint', error)
-
-    def save_checkpoint(self, content: bytes) -> None:
-        """Write a checkpoint on request; raise UserError if that fails or takes too long."""
-        if self._checkpoint is not None:
-            self._checkpoint.save(content, REQUEST_WAIT)
 
     def begin(self, is_first: bool) -> None:
         """Begin a run, before its files are opened; only the first run cannot do without them."""
@@ -129,9 +108,9 @@ class NodeFiles:
     def close(self) -> None:
         """End the last run; its files were completed or discarded."""
         self.end(REQUEST_WAIT)
-        if self._checkpoint is not None:
-            self._checkpoint.close()
-        self._checkpoint = None
+        if self.checkpoint is not None:
+            self.checkpoint.close()
+        self.checkpoint = None
         if self._exchange is not None:
             self._exchange.finish()
             self._exchange.wait(REQUEST_WAIT)

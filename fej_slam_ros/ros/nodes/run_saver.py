@@ -11,7 +11,7 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 from std_srvs.srv import Trigger
 
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.ros.nodes.node_files import NodeFiles
+from fej_slam_ros.ros.nodes.node_files import NodeFiles, REQUEST_WAIT
 from fej_slam_ros.ros.session.session import Session
 
 #: Minimum ratio of the time between two periodic checkpoints to that of making one, for which
@@ -33,7 +33,8 @@ class RunSaver:
 
     def work(self, period: float) -> None:
         """Begin a checkpoint once in a period [s] above 0; log that the last one is written."""
-        if self._files.is_saving:
+        writer = self._files.checkpoint
+        if writer is not None and writer.is_busy:
             return
         if self._is_autosaving:
             self._is_autosaving = False
@@ -43,21 +44,30 @@ class RunSaver:
             return
         self._is_autosaving = True
         try:
-            self._files.begin_checkpoint(self._session().checkpoint_content())
+            content = self._session().checkpoint_content()
+            if writer is not None:
+                writer.begin(content)
         except UserError as error:
             self._files.note('checkpoint', str(error))
         self._next_save = max(
             begin + period, monotonic() + MIN_WORK_SHARE * (monotonic() - begin))
 
     def save_last(self) -> None:
-        """Begin the checkpoint of the end of a run."""
+        """Begin the checkpoint of the end of a run, after one that is being written."""
+        writer = self._files.checkpoint
         with suppress(UserError):
-            self._files.begin_last_checkpoint(self._session().checkpoint_content())
+            content = self._session().checkpoint_content()
+            if writer is not None:
+                error = writer.wait(REQUEST_WAIT)
+                if not writer.begin(content):
+                    self._files.note('checkpoint', error)
 
     def save(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         """Answer a request of the service ``~/save``."""
         try:
-            self._files.save_checkpoint(self._session().checkpoint_content())
+            content = self._session().checkpoint_content()
+            if self._files.checkpoint is not None:
+                self._files.checkpoint.save(content, REQUEST_WAIT)
             path = Path(self._session().settings.node.checkpoint)
             self._log.info(f'checkpoint written to {path}')
             response.message = f'saved to {path}'
