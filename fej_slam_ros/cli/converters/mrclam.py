@@ -84,11 +84,12 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--range-sigma', metavar='RATIO', type=number_option('--range-sigma', 1e-6),
         help='standard deviation of ranges per metre of range, without a constant part (default:'
         ' as measured, or'
-        f' {default.noise.range:g} and, of robots, {default.noise.robot_range:g})')
+        f' {default.noise.landmarks.range:g} and, of robots, {default.noise.robots.range:g})')
     parser.add_argument(
         '--bearing-sigma', metavar='RAD', type=number_option('--bearing-sigma', 1e-6),
         help='standard deviation of bearings (default: as measured, or'
-        f' {default.noise.bearing:g} rad and, of robots, {default.noise.robot_bearing:g} rad)')
+        f' {default.noise.landmarks.bearing:g} rad and, of robots,'
+        f' {default.noise.robots.bearing:g} rad)')
 
 
 def convert(arguments: Namespace) -> None:
@@ -117,17 +118,17 @@ def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
     delay, scale = arguments.motion_delay, arguments.odometry_scale
     options = noise.best_options(
         data, delay, scale and tuple(scale), arguments.camera_delay, arguments.thin)
-    sigmas, increases = options.noise, options.range_increases
+    cameras, increases = [options.noise.landmarks, options.noise.robots], options.range_increases
     if arguments.range_sigma is not None:
-        sigmas = replace(
-            sigmas, range=arguments.range_sigma, robot_range=arguments.range_sigma,
-            range_constant=0.0, robot_range_constant=0.0)
+        cameras = [
+            replace(camera, range=arguments.range_sigma, range_constant=0.0)
+            for camera in cameras]
         increases = (range_increase(arguments.range_sigma),) * 2
     if arguments.bearing_sigma is not None:
-        sigmas = replace(
-            sigmas, bearing=arguments.bearing_sigma, robot_bearing=arguments.bearing_sigma)
+        cameras = [replace(camera, bearing=arguments.bearing_sigma) for camera in cameras]
     return replace(
-        options, noise=sigmas, range_increases=increases,
+        options, noise=replace(options.noise, landmarks=cameras[0], robots=cameras[1]),
+        range_increases=increases,
         correlation_factor=arguments.correlation_factor or options.correlation_factor,
         robot_observations=arguments.robot_observations)
 

@@ -82,13 +82,10 @@ def _observation_rows(
         yield (
             f'correlation of range errors {low:g} to {high:g} s apart',
             *(f'{m.correlation[low, high]:.2f}' for m in measured))
-    noise = options.noise
-    constant_and_per_metre = {
-        'of landmarks': (noise.range_constant, noise.range),
-        'of robots': (noise.robot_range_constant, noise.robot_range)}
-    for k, label in enumerate(('constant [m]', 'per metre')):
+    used = {'of landmarks': options.noise.landmarks, 'of robots': options.noise.robots}
+    for field, label in (('range_constant', 'constant [m]'), ('range', 'per metre')):
         yield (
             f'range sd as used, {label}',
-            *(f'{constant_and_per_metre[kind][k]:.4f}' for kind in by_kind))
+            *(f'{getattr(used[kind], field):.4f}' for kind in by_kind))
     factor = f'{options.correlation_factor:.2f}'
     yield ('factor for errors that persist', *(factor for _ in measured))

@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from fej_slam_ros.core.calibration.shown_errors import MIN_GAIN
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, OFFSET_SIGMA
+from fej_slam_ros.datasets.mrclam.conversion import CameraNoise, ConversionOptions, OFFSET_SIGMA
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import (
     observation_errors, ObservationErrors, rms)
@@ -86,7 +86,7 @@ def range_errors(
 
 def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
     """Return the delay [s] with which bearings fit the true poses best, drawn to the usual one."""
-    usual, sigma = options.camera_delay, options.noise.bearing
+    usual, sigma = options.camera_delay, options.noise.landmarks.bearing
     count = sum(len(log.observations) for log in data.logs.values())
 
     def cost(delay: float) -> float:
@@ -116,11 +116,12 @@ def without_systematic_errors(
     return replace(errors, bearings=bearings, ranges=ranges)
 
 
-def sigmas(errors: ObservationErrors) -> tuple[float, float, float]:
-    """Return standard deviations without outliers: of ranges, constant and per metre, bearings."""
+def camera_noise(errors: ObservationErrors) -> CameraNoise:
+    """Return the standard deviations of errors without outliers."""
     inliers = errors.inliers()
     constant, per_metre = _range_sigmas(inliers.ranges, inliers.true_ranges)
-    return constant, max(per_metre, MIN_SIGMA), max(rms(inliers.bearings), MIN_SIGMA)
+    return CameraNoise(
+        max(per_metre, MIN_SIGMA), max(rms(inliers.bearings), MIN_SIGMA), constant)
 
 
 def _range_sigmas(errors: Array, r: Array) -> tuple[float, float]:

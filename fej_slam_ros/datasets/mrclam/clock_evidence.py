@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, odometry, positions
-from fej_slam_ros.datasets.mrclam.series import Series
+from fej_slam_ros.datasets.series import Series
 
 #: True poses are compared over windows from 1 s to `MAX_WINDOW`, in errors up to 1 rad.
 MIN_WINDOW, MAX_WINDOW = NS, 60 * NS

@@ -9,7 +9,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, poses_at
 from fej_slam_ros.core.motion_models import arc_poses
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.mrclam.series import joined, Series
+from fej_slam_ros.datasets.series import joined, Series
 
 #: Commands before or after all others, up to this away [ns], may be of the same recording.
 MAX_STEP = 60 * NS

@@ -21,7 +21,7 @@ from fej_slam_ros.core.ordering.backward_stamps import (
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence, MAX_ERROR_RATIO
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP, positions
-from fej_slam_ros.datasets.mrclam.series import drop, joined, Series
+from fej_slam_ros.datasets.series import drop, joined, Series
 
 #: Landmarks observed within this time [ns] on both sides of a break are compared.
 COMPARED_TIME = 20 * NS

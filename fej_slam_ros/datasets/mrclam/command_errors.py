@@ -21,7 +21,7 @@ from fej_slam_ros.datasets.mrclam.conversion import (
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
 from fej_slam_ros.datasets.mrclam.motion_capture import truth_sigma
 from fej_slam_ros.datasets.mrclam.observation_errors import rms, true_poses
-from fej_slam_ros.datasets.mrclam.series import Series
+from fej_slam_ros.datasets.series import Series
 
 #: Windows [s] over which increments are compared for the delay, and between true poses for the
 #: speeds.

@@ -23,7 +23,7 @@ from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.datasets.file_checks import LAST_SECOND
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
-from fej_slam_ros.datasets.mrclam.series import Series
+from fej_slam_ros.datasets.series import Series
 
 #: Variance per second of an increment (x, y, phi) of a robot at rest [m^2/s, m^2/s, rad^2/s].
 STANDSTILL_VARIANCE = np.array([1e-6, 1e-6, 1e-6])
@@ -39,6 +39,23 @@ OFFSET_SIGMA = 0.02
 
 
 @dataclass(frozen=True)
+class CameraNoise:
+    """Standard deviations of observations."""
+
+    range: float  #: Of a range, per metre
+    bearing: float  #: Of a bearing [rad]
+    range_constant: float = 0.0  #: Of a range, the part that does not grow with it [m]
+
+    def at(self, r: float) -> tuple[float, float]:
+        """Return the standard deviations [m, rad] of a range r [m] and its bearing."""
+        return math.hypot(self.range_constant, self.range * r), self.bearing
+
+    def scaled(self, factor: float) -> 'CameraNoise':
+        return CameraNoise(
+            factor * self.range, factor * self.bearing, factor * self.range_constant)
+
+
+@dataclass(frozen=True)
 class Noise:
     """
     Noise of commands and camera; the defaults are those of set 6 with its usual errors.
@@ -51,23 +68,9 @@ class Noise:
     #: Variances [m^2, rad^2] per metre driven and per radian turned.
     position: tuple[float, float] = (0.0022, 0.0010)
     heading: tuple[float, float] = (0.0060, 0.0068)
-    #: Standard deviations of a range per metre, and of a bearing [rad], to landmarks.
-    range: float = 0.044
-    bearing: float = 0.0125
-    #: The same to robots.
-    robot_range: float = 0.042
-    robot_bearing: float = 0.0111
-    #: Standard deviations of a range to a landmark and to a robot that do not grow with it [m].
-    range_constant: float = 0.0
-    robot_range_constant: float = 0.0
-
-    def of_landmark(self, r: float) -> tuple[float, float]:
-        """Return the standard deviations [m, rad] of a landmark's range r [m] and bearing."""
-        return math.hypot(self.range_constant, self.range * r), self.bearing
-
-    def of_robot(self, r: float) -> tuple[float, float]:
-        """Return the standard deviations [m, rad] of a robot's range r [m] and bearing."""
-        return math.hypot(self.robot_range_constant, self.robot_range * r), self.robot_bearing
+    #: Of observations of landmarks, and of robots.
+    landmarks: CameraNoise = CameraNoise(0.044, 0.0125)
+    robots: CameraNoise = CameraNoise(0.042, 0.0111)
 
 
 @dataclass(frozen=True)
@@ -101,10 +104,7 @@ class ConversionOptions:
         """Return the noise with that of the observations as the estimator is to take it."""
         factor, noise = self.correlation_factor, self.noise
         return replace(
-            noise, range=factor * noise.range, bearing=factor * noise.bearing,
-            robot_range=factor * noise.robot_range, robot_bearing=factor * noise.robot_bearing,
-            range_constant=factor * noise.range_constant,
-            robot_range_constant=factor * noise.robot_range_constant)
+            noise, landmarks=noise.landmarks.scaled(factor), robots=noise.robots.scaled(factor))
 
 
 def range_increase(per_metre: float) -> float:
@@ -279,10 +279,10 @@ def _scans(robot: int, observed: Series, noise: Noise) -> Iterator[Scan | RobotS
         landmarks, robots = [], []
         for _, (subject, r, beta) in rows:
             if subject in ROBOT_SUBJECTS:
-                z, R = polar(r, beta, *noise.of_robot(r))
+                z, R = polar(r, beta, *noise.robots.at(r))
                 robots.append(RobotObservation(robot_name(int(subject)), z, R))
             else:
-                z, R = polar(r, beta, *noise.of_landmark(r))
+                z, R = polar(r, beta, *noise.landmarks.at(r))
                 landmarks.append(Observation(int(subject), z, R))
         if landmarks:
             yield Scan(robot_name(robot), stamp, tuple(landmarks))

@@ -25,7 +25,7 @@ from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP
 from fej_slam_ros.datasets.mrclam.clocks import in_order
 from fej_slam_ros.datasets.mrclam.motion_capture import without_slips
-from fej_slam_ros.datasets.mrclam.series import drop, Series
+from fej_slam_ros.datasets.series import drop, Series
 from fej_slam_ros.errors import UserError
 
 #: Subjects that are robots; all others are landmarks.

@@ -10,7 +10,7 @@ import numpy as np
 from fej_slam_ros.core.calibration.odometry_errors import SIGMA_PER_MEDIAN
 from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.mrclam.series import drop, Series
+from fej_slam_ros.datasets.series import drop, Series
 
 #: Least standard deviations of true poses [m, m, rad].
 TRUTH_SIGMA = np.array([0.005, 0.005, 0.01])

@@ -14,7 +14,7 @@ from fej_slam_ros.core.calibration.from_truth import (
 from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.camera_errors import (
-    bearing_offsets, range_errors, sigmas, without_systematic_errors)
+    bearing_offsets, camera_noise, range_errors, without_systematic_errors)
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, range_increase, records, robot_name, STANDSTILL_VARIANCE)
@@ -79,8 +79,8 @@ def best_options(
         options.noise, position=_scaled(options.noise.position, factor),
         heading=_scaled(options.noise.heading, factor))
     return _with_observation_noise(
-        replace(options, noise=noise), *errors_near_truth(data, options), noise.range,
-        noise.bearing)
+        replace(options, noise=noise), *errors_near_truth(data, options), noise.landmarks.range,
+        noise.landmarks.bearing)
 
 
 def _measured_options(
@@ -128,21 +128,17 @@ def _with_observation_noise(
     """Return options with the errors of cameras, and the noise of observations if it is known."""
     of_bearings = bearing_offsets(landmarks, least_bearing_sigma)
     of_ranges = range_errors(landmarks, least_range_sigma)
-    landmarks = without_systematic_errors(landmarks, of_bearings, of_ranges)
-    robots = without_systematic_errors(robots, of_bearings, of_ranges)
-    noise, (of_landmarks, of_robots) = options.noise, options.range_increases
-    if len(landmarks.inliers().ranges) >= MIN_OBSERVATIONS:
-        constant, r, beta = sigmas(landmarks)
-        noise = replace(noise, range=r, bearing=beta, range_constant=constant)
-        of_landmarks = range_increase(r)
-    if len(robots.inliers().ranges) >= MIN_OBSERVATIONS:
-        constant, r, beta = sigmas(robots)
-        noise = replace(
-            noise, robot_range=r, robot_bearing=beta, robot_range_constant=constant)
-        of_robots = range_increase(r)
+    usual = options.noise
+    found, increases = [usual.landmarks, usual.robots], [*options.range_increases]
+    for k, errors in enumerate((landmarks, robots)):
+        remaining = without_systematic_errors(errors, of_bearings, of_ranges)
+        if len(remaining.inliers().ranges) >= MIN_OBSERVATIONS:
+            found[k] = camera_noise(remaining)
+            increases[k] = range_increase(found[k].range)
     return replace(
-        options, noise=noise, bearing_offsets=of_bearings, range_errors=of_ranges,
-        range_increases=(of_landmarks, of_robots))
+        options, noise=replace(usual, landmarks=found[0], robots=found[1]),
+        bearing_offsets=of_bearings, range_errors=of_ranges,
+        range_increases=(increases[0], increases[1]))
 
 
 def _correlation_factor(data: MrclamSet, options: ConversionOptions) -> float:

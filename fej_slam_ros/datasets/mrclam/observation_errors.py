@@ -20,7 +20,7 @@ from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, odometry
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
-from fej_slam_ros.datasets.mrclam.series import Series
+from fej_slam_ros.datasets.series import Series
 
 #: Ground truth is interpolated over gaps up to this [ns].
 MAX_TRUTH_GAP = NS // 10

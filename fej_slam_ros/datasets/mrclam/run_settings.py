@@ -20,7 +20,7 @@ from fej_slam_ros.datasets.mrclam.conversion import (
     odometry_stamps, robot_name, sums_between)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.mrclam.motion_capture import truth_sigma
-from fej_slam_ros.datasets.mrclam.series import Series
+from fej_slam_ros.datasets.series import Series
 
 #: The estimator waits for robots over gaps in which commands are trusted [s].
 STALE_AFTER = 2.5
@@ -155,7 +155,7 @@ def _frame_variance(
     count = np.searchsorted(seen, seen[0] + FRAME_TIME, 'right')
     first, after = np.searchsorted(stamps, (begin, seen[0]))
     driven = float(increment_variances(log, options)[first:after, 2].sum())
-    bearing = options.observation_noise().bearing
+    bearing = options.observation_noise().landmarks.bearing
     of_camera = bearing ** 2 / count + bearing_offset(log.robot, options)[1] ** 2
     return float(start_sigma ** 2 + driven + of_camera)
 
@@ -179,7 +179,7 @@ def _robot(robot: int, log: RobotLog, options: ConversionOptions) -> RobotSettin
     r = float(ranges.mean()) if len(ranges) else TYPICAL_RANGE
     duration = (log.commands.stamps[-1] - log.commands.stamps[0]) / NS
     variances = increment_variances(log, options).sum(axis=0) / duration
-    of_range, of_bearing = noise.of_landmark(r)
+    of_range, of_bearing = noise.landmarks.at(r)
     return RobotSettings(
         robot_name(robot), robot, odometry_sigma=_triple(np.sqrt(variances)),
         landmark_sigma=(round(of_range, 6), round(of_bearing * r, 6)))

@@ -8,9 +8,9 @@ GPS has gaps and jumps. Outliers stay in the log, with a large covariance.
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, Flags, poses_at, rigid_fit
+from fej_slam_ros.core.geometry import Array, Flags, poses_at, rigid_fit, Stamps
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.victoria_park.raw_log import Fixes, Integers
+from fej_slam_ros.datasets.series import Series
 from fej_slam_ros.errors import UserError
 
 #: Position of the antenna in the base frame [m].
@@ -25,7 +25,7 @@ MIN_STRETCH = 5
 START_DISTANCE = 50.0
 
 
-def antenna_points(stamps: Integers, pose_stamps: Integers, poses: Array) -> Array:
+def antenna_points(stamps: Stamps, pose_stamps: Stamps, poses: Array) -> Array:
     """Return the antenna positions (g, 2) at some stamps, from poses (n, 3) at others."""
     x, y, phi = poses_at(stamps, pose_stamps, poses).T
     c, s = np.cos(phi), np.sin(phi)
@@ -33,14 +33,14 @@ def antenna_points(stamps: Integers, pose_stamps: Integers, poses: Array) -> Arr
         x + c * ANTENNA[0] - s * ANTENNA[1], y + s * ANTENNA[0] + c * ANTENNA[1]])
 
 
-def outliers(fixes: Fixes, antenna: Array) -> Flags:
+def outliers(fixes: Series, antenna: Array) -> Flags:
     """
     Return which fixes (g,) lie in a stretch between gaps or jumps that is too short.
 
     `antenna` (g, 2) are the antenna positions by dead reckoning, in any frame [m].
     """
     by_gps, by_wheels = (
-        np.hypot(*np.diff(points, axis=0).T) for points in (fixes.points, antenna))
+        np.hypot(*np.diff(points, axis=0).T) for points in (fixes.rows, antenna))
     is_consistent = (
         (np.diff(fixes.stamps) <= MAX_FIX_GAP) & (np.abs(by_gps - by_wheels) <= MAX_JUMP))
     stretch = np.append(0, np.cumsum(~is_consistent))
@@ -48,7 +48,7 @@ def outliers(fixes: Fixes, antenna: Array) -> Flags:
     return is_short
 
 
-def start_pose(fixes: Fixes, antenna: Array, is_outlier: Flags) -> Array:
+def start_pose(fixes: Series, antenna: Array, is_outlier: Flags) -> Array:
     """
     Return the pose (3,) in ``map`` at which a drive starts; too few fixes raise a `UserError`.
 
@@ -62,4 +62,4 @@ def start_pose(fixes: Fixes, antenna: Array, is_outlier: Flags) -> Array:
         raise UserError(
             'GPS does not determine the start of a drive: it has too few good fixes in the first'
             f' {START_DISTANCE:g} m; fetch aa3_gpsx.mat again')
-    return rigid_fit(near, fixes.points[is_used])
+    return rigid_fit(near, fixes.rows[is_used])

@@ -157,7 +157,7 @@ def _fixes(robot: str, drive: CarDrive) -> Iterator[GpsFix]:
     sigmas = np.where(drive.is_outlier, SIGMA_OUTLIER, SIGMA_FIX)
     covariances = sigmas[:, None, None] ** 2 * np.eye(2)
     fixes = drive.log.fixes
-    return map(GpsFix, repeat(robot), fixes.stamps.tolist(), fixes.points, covariances)
+    return map(GpsFix, repeat(robot), fixes.stamps.tolist(), fixes.rows, covariances)
 
 
 def _triple(pose: Array) -> Triple:

@@ -20,6 +20,7 @@ from fej_slam_ros.core.records import NO_ID, NS
 from fej_slam_ros.datasets.file_checks import (
     errors_name, LAST_SECOND, require_finite, require_folder, require_landmark_ids)
 from fej_slam_ros.datasets.matlab import required_matrices
+from fej_slam_ros.datasets.series import Series
 from fej_slam_ros.errors import UserError
 
 Integers = NDArray[np.int64]
@@ -75,25 +76,12 @@ class TreeScans:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Fixes:
-    """Stamps (g,) [ns] and antenna positions by GPS (g, 2), east and north [m]."""
-
-    stamps: Integers
-    points: Array
-
-    def between(self, first: int, last: int) -> 'Fixes':
-        """Return the fixes from one stamp to another [ns]."""
-        a, b = np.searchsorted(self.stamps, (first, last + 1))
-        return Fixes(self.stamps[a:b], self.points[a:b])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class RawLog:
     """All measurements of the car, on one clock."""
 
     wheels: Wheels
     trees: TreeScans
-    fixes: Fixes
+    fixes: Series  #: antenna positions by GPS (g, 2), east and north [m]
 
     def between(self, first: int, last: int) -> 'RawLog':
         """Return the log from one stamp to another [ns]."""
@@ -106,7 +94,7 @@ class RawLog:
         return RawLog(
             replace(self.wheels, stamps=self.wheels.stamps + offset),
             replace(self.trees, stamps=self.trees.stamps + offset),
-            replace(self.fixes, stamps=self.fixes.stamps + offset))
+            self.fixes.shifted(offset))
 
 
 def read(folder: Path) -> RawLog:
@@ -157,9 +145,9 @@ def wheels(time: Array, speed: Array, steering: Array) -> Wheels:
     return Wheels(increasing_stamps(time), speed, steering)
 
 
-def fixes(time: Array, east: Array, north: Array) -> Fixes:
+def fixes(time: Array, east: Array, north: Array) -> Series:
     """Return rows of times [ms] and antenna positions [m], checked."""
-    return Fixes(increasing_stamps(time), np.column_stack([east, north]))
+    return Series(increasing_stamps(time), np.column_stack([east, north]))
 
 
 def require_possible(ranges: Array, bearings: Array) -> None:

@@ -30,7 +30,7 @@ from fej_slam_ros.datasets.mrclam import conversion, files, run_settings
 from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.noise import best_options
-from fej_slam_ros.datasets.mrclam.series import Series
+from fej_slam_ros.datasets.series import Series
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.experiments.real_data.causal_least_squares import (
     causal_least_squares, CausalErrors)

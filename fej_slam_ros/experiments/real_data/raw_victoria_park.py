@@ -139,7 +139,7 @@ def _beside_gps(drive: CarDrive, estimates: Sequence[PoseEstimate]) -> tuple[Arr
     stamps, fixes = np.array([estimate.stamp for estimate in estimates]), drive.log.fixes
     good = ~drive.is_outlier & (fixes.stamps <= stamps[-1])
     poses = np.array([estimate.pose for estimate in estimates])
-    return antenna_points(fixes.stamps[good], stamps, poses), fixes.points[good]
+    return antenna_points(fixes.stamps[good], stamps, poses), fixes.rows[good]
 
 
 def _fitted(antenna: Array, fixes: Array) -> Array:

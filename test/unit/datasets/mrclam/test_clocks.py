@@ -11,7 +11,7 @@ import pytest
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart
 from fej_slam_ros.datasets.mrclam.clocks import in_order
-from fej_slam_ros.datasets.mrclam.series import joined, Series
+from fej_slam_ros.datasets.series import joined, Series
 
 S = 1_000_000_000
 ROBOTS = range(1, 6)

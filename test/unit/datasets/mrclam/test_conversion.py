@@ -12,7 +12,8 @@ from scipy.stats import norm
 
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
-from fej_slam_ros.datasets.mrclam.conversion import Noise, range_increase, records
+from fej_slam_ros.datasets.mrclam.conversion import (
+    CameraNoise, Noise, range_increase, records)
 from fej_slam_ros.datasets.mrclam.files import read
 from helpers.mrclam import EXACT, STRAIGHT, write_set
 
@@ -102,7 +103,7 @@ def test_rows_of_one_stamp_are_one_scan_of_landmarks_and_one_of_robots(convert):
 
 
 def test_noise_along_the_ray_grows_with_range_and_across_it_with_the_bearing(convert):
-    exact = replace(EXACT, noise=Noise(range=0.05, bearing=0.02))
+    exact = replace(EXACT, noise=Noise(landmarks=CameraNoise(0.05, 0.02)))
 
     (scan,) = of_kind(Scan, convert(exact, Robot1_Measurement=[(101, 7, 4.0, math.pi / 2)]))
 
@@ -114,8 +115,7 @@ def test_noise_along_the_ray_grows_with_range_and_across_it_with_the_bearing(con
 def test_the_correlation_factor_multiplies_the_standard_deviations_of_all_observations(convert):
     rows = [(101, 7, 4.0, math.pi / 2), (101, 14, 2.0, 0.0)]
     noise = Noise(
-        range=0.05, bearing=0.02, robot_range=0.04, robot_bearing=0.01, range_constant=0.15,
-        robot_range_constant=0.06)
+        landmarks=CameraNoise(0.05, 0.02, 0.15), robots=CameraNoise(0.04, 0.01, 0.06))
 
     doubled = convert(
         replace(EXACT, noise=noise, correlation_factor=2.0), Robot1_Measurement=rows,
@@ -170,8 +170,10 @@ def test_errors_of_a_camera_are_removed_from_ranges(convert):
 def test_ranges_whose_noise_grows_with_them_are_right_in_their_weighted_mean(convert, code, kind):
     # 10 % of noise, by its quantiles; without an increase the mean would be 4 cm too short.
     quantiles = norm.ppf((np.arange(500) + 0.5) / 500)
+    noisy = CameraNoise(0.1, 0.01)
     options = replace(
-        EXACT, noise=Noise(range=0.1, robot_range=0.1), range_increases=(range_increase(0.1),) * 2)
+        EXACT, noise=Noise(landmarks=noisy, robots=noisy),
+        range_increases=(range_increase(0.1),) * 2)
 
     scans = of_kind(kind, convert(
         options, Robot2_Odometry=STRAIGHT['Robot1_Odometry'], Robot1_Measurement=[

@@ -18,7 +18,7 @@ from fej_slam_ros.datasets.mrclam.conversion import (
 from fej_slam_ros.datasets.mrclam.files import read
 from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable
 from fej_slam_ros.datasets.mrclam.observation_errors import error_statistics, observation_errors
-from fej_slam_ros.datasets.mrclam.series import Series
+from fej_slam_ros.datasets.series import Series
 from helpers.mrclam import LANDMARKS, write_set
 
 RATE, SECONDS = 50, 900
@@ -178,7 +178,7 @@ def test_the_noise_of_coarse_sensors_is_measured_without_outliers(tmp_path, sigm
     noise = best_options(synthetic_set(tmp_path, sigmas=sigmas, speed=0.5)).noise
 
     # 1,800 observations determine a sigma to 2 %; five sigma keep nearly all of them.
-    assert (noise.range, noise.bearing) == pytest.approx(sigmas, rel=0.1)
+    assert (noise.landmarks.range, noise.landmarks.bearing) == pytest.approx(sigmas, rel=0.1)
 
 
 def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
@@ -192,7 +192,7 @@ def test_the_angle_of_a_camera_is_measured_and_removed(synthetic):
     offset, sigma = options.bearing_offsets[1]
     assert offset == pytest.approx(0.03, abs=0.0015)
     assert abs(offset - 0.03) < 3.0 * sigma < 0.01
-    assert options.noise.bearing == pytest.approx(BEARING, rel=0.05)
+    assert options.noise.landmarks.bearing == pytest.approx(BEARING, rel=0.05)
     used, before = (
         observations_used(data, 1, variant, Counter()).rows[:, 2]
         for variant in (options, replace(options, bearing_offsets={})))
@@ -210,7 +210,7 @@ def test_the_delay_of_a_camera_is_measured_and_removed(synthetic, late_by):
 
     # 1,800 bearings with a standard deviation of 0.02 at turn rates of 0.23 rad/s: 0.002 s.
     assert options.camera_delay == pytest.approx(late_by / NS, abs=0.006)
-    assert options.noise.bearing == pytest.approx(BEARING, rel=0.05)
+    assert options.noise.landmarks.bearing == pytest.approx(BEARING, rel=0.05)
     before, used = (
         observations_used(synthetic, 1, replace(options, camera_delay=delay), Counter()).stamps
         for delay in (0.0, late_by / NS))
@@ -240,7 +240,7 @@ def test_systematic_errors_of_ranges_are_measured_and_removed(
     right = log.observations[np.isin(log.observations.stamps, used.stamps)].rows[:, 1]
     # Ranges of 1 to 6 m, wrong by up to 8 %: 450 or more errors of 0.02 determine them to 0.002.
     assert np.abs(used.rows[:, 1] / right - 1.0).max() < 0.01
-    assert options.noise.range == pytest.approx(RANGE, rel=0.15)
+    assert options.noise.landmarks.range == pytest.approx(RANGE, rel=0.15)
 
 
 def test_with_sparse_true_poses_the_angle_of_a_camera_and_the_noise_are_measured(tmp_path):
@@ -255,7 +255,7 @@ def test_with_sparse_true_poses_the_angle_of_a_camera_and_the_noise_are_measured
     offset, sigma = options.bearing_offsets[1]
     assert offset == pytest.approx(0.03, abs=0.006)
     assert abs(offset - 0.03) < 3.0 * sigma < 0.02
-    assert (options.noise.range, options.noise.bearing) == pytest.approx(
+    assert (options.noise.landmarks.range, options.noise.landmarks.bearing) == pytest.approx(
         (RANGE, BEARING), rel=0.15)
     # The defaults are of odometry that turns away three times as fast; errors of position, which
     # noise of the same kind in two directions makes, count as well.
@@ -291,7 +291,7 @@ def test_exact_observations_have_the_resolution_of_the_files(tmp_path):
             (101 + 0.2 * k, 7, math.sqrt(5), math.atan2(1, 2)) for k in range(250)]}))).noise
 
     # A millimetre and a milliradian.
-    assert (noise.range, noise.bearing) == (0.001, 0.001)
+    assert (noise.landmarks.range, noise.landmarks.bearing) == (0.001, 0.001)
 
 
 def test_only_outliers_leave_the_default_noise(synthetic):
@@ -299,7 +299,8 @@ def test_only_outliers_leave_the_default_noise(synthetic):
 
     noise = best_options(replace(synthetic, landmarks=elsewhere)).noise
 
-    assert (noise.range, noise.bearing) == (Noise().range, Noise().bearing)
+    assert (noise.landmarks.range, noise.landmarks.bearing) == (
+        Noise().landmarks.range, Noise().landmarks.bearing)
 
 
 def test_windows_with_a_long_gap_of_commands_are_ignored(synthetic):
@@ -314,14 +315,14 @@ def test_windows_with_a_long_gap_of_commands_are_ignored(synthetic):
 
 
 def test_without_observations_of_robots_their_noise_is_the_default(synthetic):
-    assert best_options(synthetic).noise.robot_range == ConversionOptions().noise.robot_range
+    assert best_options(synthetic).noise.robots.range == ConversionOptions().noise.robots.range
 
 
 def test_ranges_are_increased_where_their_noise_was_measured(synthetic):
     options = best_options(synthetic)
 
     # The derivative of p^2 r^2 by r, per metre; robots are not observed here.
-    assert options.range_increases == (2 * options.noise.range ** 2, 0.0)
+    assert options.range_increases == (2 * options.noise.landmarks.range ** 2, 0.0)
 
 
 def test_noise_is_not_measurable_without_motion_capture(tmp_path):

@@ -7,8 +7,8 @@ import pytest
 
 from fej_slam_ros.core.geometry import transform
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.datasets.series import Series
 from fej_slam_ros.datasets.victoria_park.gps import ANTENNA, antenna_points, outliers, start_pose
-from fej_slam_ros.datasets.victoria_park.raw_log import Fixes
 from fej_slam_ros.errors import UserError
 
 START = np.array([100.0, 200.0, 2.0])
@@ -18,7 +18,7 @@ STAMPS = np.arange(60) * NS // 5
 
 
 def fixes(stamps=STAMPS):
-    return Fixes(np.array(stamps), transform(START, THERE))
+    return Series(np.array(stamps), transform(START, THERE))
 
 
 def test_the_antenna_turns_with_the_car():
@@ -38,7 +38,7 @@ def test_gps_consistent_with_dead_reckoning_has_no_outliers():
                                                              (30, 5, False), (0, 2, True)])
 def test_few_fixes_between_jumps_are_outliers(first, count, are_doubted):
     jumped = fixes()
-    jumped.points[first:first + count] += 137.0
+    jumped.rows[first:first + count] += 137.0
 
     found = np.flatnonzero(outliers(jumped, THERE))
 
@@ -54,7 +54,7 @@ def test_few_fixes_between_gaps_are_outliers_even_without_jumps():
 def test_good_fixes_determine_the_start_pose():
     some = np.arange(60) == 7
     jumped = fixes()
-    jumped.points[some] += 50.0
+    jumped.rows[some] += 50.0
 
     # Rounding at 200 m.
     np.testing.assert_allclose(start_pose(jumped, THERE, some), START, atol=1e-9)
@@ -62,7 +62,7 @@ def test_good_fixes_determine_the_start_pose():
 
 def test_fixes_after_the_car_was_far_from_the_start_are_ignored():
     back = np.vstack([THERE, THERE[::-1]])
-    turned = Fixes(np.arange(120), np.vstack([fixes().points, fixes().points[::-1] + 30.0]))
+    turned = Series(np.arange(120), np.vstack([fixes().rows, fixes().rows[::-1] + 30.0]))
 
     place = start_pose(turned, back, np.zeros(120, dtype=bool))
 

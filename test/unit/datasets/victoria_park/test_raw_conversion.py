@@ -118,12 +118,12 @@ def test_the_start_pose_is_fitted_to_gps(raw_park):
 
 def test_a_jump_of_gps_stays_in_the_log_and_is_flagged_by_its_covariance(raw_park):
     log = read(raw_park())
-    log.fixes.points[30] += 137.0
+    log.fixes.rows[30] += 137.0
 
     fixes = records_of(log, GpsFix)
 
     sigmas = [math.sqrt(fix.P[0, 0]) for fix in fixes]
-    assert fixes[30].point.tolist() == log.fixes.points[30].tolist()
+    assert fixes[30].point.tolist() == log.fixes.rows[30].tolist()
     assert min(sigmas[:30] + sigmas[31:]) == max(sigmas[:30] + sigmas[31:]) < 5.0
     assert sigmas[30] >= 1000.0
 
@@ -167,7 +167,7 @@ def test_few_fixes_of_the_published_log_are_outliers_among_them_the_worst(log):
 
     assert 0 < is_outlier.sum() < 0.02 * len(is_outlier)
     # The README of the data: GPS jumps by up to 137 m.
-    worst = np.argmax(np.hypot(*np.diff(log.fixes.points, axis=0).T) / np.diff(log.fixes.stamps))
+    worst = np.argmax(np.hypot(*np.diff(log.fixes.rows, axis=0).T) / np.diff(log.fixes.stamps))
     assert is_outlier[worst] or is_outlier[worst + 1]
 
 

@@ -29,7 +29,7 @@ def test_the_log_holds_the_values_of_the_files(raw_park):
     assert log.trees.stamps[-1] == 13_000_000_000
     assert log.trees.starts[:3].tolist() == [0, 2, 4]
     assert log.trees.ranges[:2].tolist() == [10.0, 20.0]
-    assert log.fixes.points.shape == (61, 2)
+    assert log.fixes.rows.shape == (61, 2)
 
 
 def test_a_scan_without_trees_is_kept(raw_park):

@@ -32,7 +32,7 @@ def text_park(raw_park, tmp_path):
         'inputs.dat': lines(wheels.stamps // 10**6, wheels.speed, wheels.steering, digits=4),
         'measurements.dat': lines(
             of_detections // 10**6, trees.ranges, trees.bearings, 0.3 * trees.ranges, digits=5),
-        'gps.dat': lines(fixes.stamps // 10**6, *fixes.points.T, digits=9),
+        'gps.dat': lines(fixes.stamps // 10**6, *fixes.rows.T, digits=9),
     }.items():
         (folder / name).write_text(text)
     return folder, log
