@@ -1,18 +1,29 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of a bag for the robots of a team, which it is checked to have."""
+"""What a bag has for the robots of a team: messages, and landmarks of observations without ID."""
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 import logging
 from pathlib import Path
 
+from tqdm import tqdm
+
+from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
+from fej_slam_ros.core.matches import Matches
+from fej_slam_ros.core.offline_matching import match
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags, front_end_topics
+from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.messages import RawMessage
-from fej_slam_ros.ros.topic_types import expected_topics
+from fej_slam_ros.ros.messages import decoded_as, RawMessage
+from fej_slam_ros.ros.messages.incoming import RejectedError
+from fej_slam_ros.ros.messages.incoming_clouds import has_unknown_landmarks
+from fej_slam_ros.ros.parameters import RunSettings
+from fej_slam_ros.ros.session.record_collector import collect
+from fej_slam_ros.ros.topic_types import CLOUD, expected_topics
 
 
 def team_messages(bag: Path, settings: CommonSettings, names: TopicNames) -> Iterable[RawMessage]:
@@ -57,3 +68,26 @@ def _check_types(bag: Path, team: Iterable[str], types: Mapping[str, str]) -> No
         raise UserError(faults[odometry[0]])
     for fault in faults.values():
         logging.getLogger(__name__).warning(fault)
+
+
+def matches_in(bag: Path, settings: RunSettings, names: TopicNames) -> Matches | None:
+    """Return what the estimator matches in a bag, None if all observations have IDs."""
+    estimation = settings.estimation
+    # The filter that linearises about true landmarks matches nothing.
+    if LINEARIZATIONS[estimation.filter].needs_truth or (
+            not _has_landmarks_without_ids(bag, estimation, names)):
+        return None
+    # What the bag lacks is said where it is read for the run itself.
+    records = collect(bags.read(bag, names), settings, needs_ids=False).records
+    with tqdm(desc='match', unit='step', disable=None) as bar:
+        return match(estimation, records, prior_map(settings), bar.update)
+
+
+def _has_landmarks_without_ids(bag: Path, settings: CommonSettings, names: TopicNames) -> bool:
+    """Return whether a robot in a bag observed a landmark without ID."""
+    for message in bags.read(bag, names, [f'{robot.name}/landmarks' for robot in settings.robots]):
+        cloud = decoded_as(message, CLOUD)
+        with suppress(RejectedError):
+            if cloud is not None and has_unknown_landmarks(cloud):
+                return True
+    return False

@@ -16,8 +16,7 @@ from typing import NamedTuple
 
 from fej_slam_ros.atomic_files import csv_bytes, write_all
 from fej_slam_ros.cli.arguments import add_bag_and_parameters
-from fej_slam_ros.cli.bag_input import team_messages
-from fej_slam_ros.cli.bag_matches import matches_in
+from fej_slam_ros.cli.bag_input import matches_in, team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import Odometry

@@ -20,7 +20,7 @@ from functools import partial
 import numpy as np
 
 from fej_slam_ros.cli import offline_run
-from fej_slam_ros.cli.bag_matches import matches_in
+from fej_slam_ros.cli.bag_input import matches_in
 from fej_slam_ros.cli.run_table import matched_in_words, run_table
 from fej_slam_ros.cli.smoother import ignored_parameters
 from fej_slam_ros.cli.topic_options import names_in, node_names

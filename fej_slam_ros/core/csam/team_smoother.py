@@ -24,9 +24,11 @@ from fej_slam_ros.core.definiteness import has_information
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.matches import Matches
 from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.records import (
-    Motion, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Step)
+    Motion, NO_ID, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
+    Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import check_anchor, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
@@ -332,3 +334,27 @@ class TeamSmoother(TeamInput):
         else:
             trajectory.add_between_keyframes(motion, observations)
             self.between_keyframes[name] += len(observations)
+
+
+class MatchedTeamSmoother(TeamSmoother):
+    """A smoother of observations without ID, by their matches; those without are rejected."""
+
+    needs_ids = False
+
+    def __init__(self, settings: SmootherSettings, matches: Matches, solve_every: int) -> None:
+        super().__init__(settings, solve_every)
+        self._matches = matches
+
+    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
+        """Add a record as `TeamSmoother` does, with IDs for its observations."""
+        if not isinstance(record, Scan):
+            return super().add(record, received)
+        scan = self._matches.with_ids(record)
+        for _ in range(len(record.observations) - len(scan.observations)):
+            self.statistics.reject(Rejection(
+                record.robot, record.stamp, RejectionReason.NO_IDENTITY, id=NO_ID))
+        if record.observations and not scan.observations:
+            # As where IDs are needed, it is no step.
+            self.statistics.count_fully_rejected_scan(record.robot)
+            return None
+        return super().add(scan, received)

@@ -18,7 +18,7 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
-    clocks, frames, observations, odometry, rejections, sensors, storage, team, timing, topics)
+    clocks, frames, observations, odometry, rejections, sensors, team, timing, topics)
 from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
@@ -90,7 +90,7 @@ def examine(
     wrong, used = _wrong_settings(settings, trial, messages)
     findings = [
         *(wrong if given is not None else ()),
-        *storage.check(path, names),
+        *topics.check_files(path, names),
         *topics.check(
             bag_topics, team_names, settings.estimation.initialpose_robot, recorded),
         *sensors.check(path, names, settings, detector_in(parameter_file, team_names)),

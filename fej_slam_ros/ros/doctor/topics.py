@@ -1,13 +1,15 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Check of the topics of a team: presence and message types."""
+"""Check of the topics of a team, presence and message types, and of the files that hold them."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
-from fej_slam_ros.ros.files import front_end_topics
+from fej_slam_ros.ros.files import bags, front_end_topics
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
+from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.topic_types import INITIALPOSE, SENT_TOPICS, TRUE_LANDMARKS
 
 
@@ -35,6 +37,21 @@ def check(
             'not_used', INITIALPOSE, 'it is for none of several robots',
             'set the parameter initialpose_robot to its robot', topics[INITIALPOSE].messages)
     yield from _unknown_robots(topics, robots, recorded)
+
+
+def check_files(path: Path, names: TopicNames) -> Iterator[Finding]:
+    """Yield files without checksums, and topics whose messages are not as many as listed."""
+    for file, parts in bags.without_checksum(path).items():
+        yield warning(
+            'no_checksum', file, f'there is no checksum of {parts}: a flipped bit changes them'
+            ' unnoticed',
+            'record mcap files with chunks, and not with the preset fastwrite or as sqlite3')
+    for topic, (listed, recorded) in bags.miscounted(path, names).items():
+        yield warning(
+            'message_count', topic,
+            f'metadata.yaml lists {listed} messages, the files have {recorded}',
+            f'copy the bag again, or run "ros2 bag reindex {path}" if messages were removed'
+            ' on purpose', abs(listed - recorded))
 
 
 def _unknown_robots(

@@ -18,8 +18,7 @@ from fej_slam_ros.ros.session.input_faults import Fault, Level
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.run_log import Missing
-from fej_slam_ros.ros.session.smoother_diagnostics import SmootherDiagnostics
-from fej_slam_ros.ros.session.smoother_log import SmootherLog
+from fej_slam_ros.ros.session.smoother_reports import SmootherDiagnostics, SmootherLog
 
 #: What users have to know of each rejection.
 EXPLANATIONS = {

@@ -10,9 +10,8 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
-from fej_slam_ros.core.csam.matched_smoother import MatchedTeamSmoother
 from fej_slam_ros.core.csam.message_sizes import MessageSizes, smallest, solution_and_sizes
-from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_smoother import MatchedTeamSmoother, TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.matches import Matches
@@ -30,9 +29,8 @@ from fej_slam_ros.ros.session.inputs import Inputs, restored_inputs
 from fej_slam_ros.ros.session.late_starts import LateAnchor, MissedMessages
 from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.session import FilesOpener, Session
-from fej_slam_ros.ros.session.smoother_diagnostics import SmootherDiagnostics
-from fej_slam_ros.ros.session.smoother_log import SmootherLog
 from fej_slam_ros.ros.session.smoother_outputs import SmootherOutputs
+from fej_slam_ros.ros.session.smoother_reports import SmootherDiagnostics, SmootherLog
 
 #: A function of plain values, which may take long, and its argument.
 Solving = tuple[Callable[[Any], Any], Any]
