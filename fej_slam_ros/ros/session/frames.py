@@ -34,11 +34,6 @@ class FrameNames:
     use is ambiguous where they share a topic of transforms, and the robot's own default replaces
     it.
 
-    Parameters
-    ----------
-    team : its present robots, whose settings may name their frames
-    settings : of the node
-
     """
 
     def __init__(self, team: Team, settings: NodeSettings) -> None:

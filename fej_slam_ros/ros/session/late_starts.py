@@ -104,13 +104,6 @@ class LateStarts(StartCheck):
     the motion since, or, if that is unknown, in a frame of its own. An anchor that alone defines
     ``map`` then does so at its first odometry received.
 
-    Parameters
-    ----------
-    estimator : receives the odometry
-    messages : number of messages missed on each topic
-    add_line : adds a line to the log of the run
-    held : as for `StartCheck`
-
     """
 
     def __init__(
@@ -204,11 +197,6 @@ class LateAnchor(StartCheck):
 
     Like that of a bag it passes all odometry on. A line in the log says that the anchor had moved
     before.
-
-    Parameters
-    ----------
-    settings : name and pose of the anchor
-    messages, add_line : as for `LateStarts`
 
     """
 

@@ -38,11 +38,6 @@ class ObjectQueue:
     """
     Scans of objects, each until the robot that has its sensor, and the pose there, are known.
 
-    Parameters
-    ----------
-    settings : of the adapter
-    frames : base frames and static transforms of the robots
-
     Attributes
     ----------
     dropped : number of scans for which there was no room, by origin

@@ -39,13 +39,6 @@ class Outputs(ABC, Generic[ConsumerT]):
     """
     Converts results of an estimator or a smoother to messages.
 
-    Parameters
-    ----------
-    consumer : whose results are published
-    inputs : whose messages name frames
-    settings : of the node
-    publishes_tf : whether the transforms to the odometry frames are published
-
     Attributes
     ----------
     settings : of the node at present

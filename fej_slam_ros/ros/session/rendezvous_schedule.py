@@ -29,15 +29,7 @@ class LastComputation(NamedTuple):
 
 
 class RendezvousSchedule:
-    """
-    Decides which rendezvous is computed next, while maps are not joined.
-
-    Parameters
-    ----------
-    team : the smoother of the robot
-    exchange : knows which robots are in reach
-
-    """
+    """Decides which rendezvous is computed next, while maps are not joined."""
 
     def __init__(self, team: PeerSmoother, exchange: PeerExchange) -> None:
         self._team = team
