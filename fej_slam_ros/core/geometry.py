@@ -70,8 +70,7 @@ def mean_rotation(theta: Array, angle_of: Indices, vectors: Array) -> Array:
     along = np.sinc(theta / np.pi)[angle_of, None]
     # (1 - cos theta) / theta
     across = (0.5 * theta * np.sinc(0.5 * theta / np.pi) ** 2)[angle_of, None]
-    rotated: Array = along * vectors + across * perpendicular(vectors)
-    return rotated
+    return along * vectors + across * perpendicular(vectors)
 
 
 def upper_triangular(upper: Sequence[float] | Array) -> Array:
@@ -133,8 +132,7 @@ def interpolated_all(a: Array, b: Array, fractions: Array) -> Array:
 
 def transform(pose: Array, points: Array) -> Array:
     """Return points (..., 2) of the frame of a pose (3,) in its parent frame."""
-    moved: Array = points @ rotation(pose[2]).T + pose[:2]
-    return moved
+    return points @ rotation(pose[2]).T + pose[:2]
 
 
 def poses_plus(poses: Array, dx: Array) -> Array:
@@ -189,8 +187,7 @@ def rigid_fit(source: Array, target: Array, weights: Array | None = None) -> Arr
 def distinct(indices: Indices) -> Indices:
     """Return the sorted distinct indices; np.unique hashes first, which takes ten times longer."""
     ascending = np.sort(indices)
-    distinct: Indices = ascending[np.diff(ascending, prepend=-1) > 0]
-    return distinct
+    return ascending[np.diff(ascending, prepend=-1) > 0]
 
 
 def runs(starts: Indices, lengths: Indices) -> Indices:

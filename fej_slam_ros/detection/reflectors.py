@@ -83,6 +83,5 @@ class ReflectorDetector:
         padded = beams.padded(
             *((beams.ranges[-1], beams.ranges[0]) if beams.is_closed else (TOO_NEAR, TOO_NEAR)))
         slack = largest_jumps(np.zeros(1), 0.0, self.range_sigma)
-        are_seen: Flags = (padded.ranges[first] > beams.ranges[first] - slack) & (
+        return (padded.ranges[first] > beams.ranges[first] - slack) & (
             padded.ranges[last + 2] > beams.ranges[last] - slack)
-        return are_seen

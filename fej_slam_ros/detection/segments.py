@@ -47,8 +47,7 @@ class Segments:
         a, r = self.beams.angles, self.beams.ranges
         turn = a[self.last] - a[self.first]
         nearer = np.minimum(r[self.first], r[self.last])
-        chords: Array = 2.0 * nearer * np.sin(np.minimum(turn, np.pi) / 2.0)
-        return chords
+        return 2.0 * nearer * np.sin(np.minimum(turn, np.pi) / 2.0)
 
     def middles(self) -> Array:
         """Return the points (m, 2) between the outer beams [m]."""
@@ -86,8 +85,7 @@ def largest_jumps(
     before the nearest point to the centre, so that the range changes most beside an edge.
 
     """
-    jumps: Array = sigmas * range_sigma + np.sqrt(2.0 * radius * width)
-    return jumps
+    return sigmas * range_sigma + np.sqrt(2.0 * radius * width)
 
 
 def segments(beams: Beams, max_radius: float, range_sigma: float) -> Segments:

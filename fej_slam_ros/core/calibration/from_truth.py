@@ -95,8 +95,7 @@ def _outlier_limit(dof: int) -> float:
 
 def inliers(squared: Array) -> Flags:
     """Return which normalised errors of points, squared, (n,), are no outliers."""
-    kept: Flags = squared <= _outlier_limit(2) * noise_scale(squared.tolist(), 2).scale ** 2
-    return kept
+    return squared <= _outlier_limit(2) * noise_scale(squared.tolist(), 2).scale ** 2
 
 
 def noise_scales(errors: Errors, dof: int) -> dict[str, NoiseScale]:
@@ -243,9 +242,8 @@ def _mean_position(observed: Sequence[_Observed]) -> Array:
     points, P = np.array([o.point for o in observed]), np.array([o.P for o in observed])
     kept = inliers(nees(points - np.median(points, axis=0), P))
     weights = np.linalg.inv(P[kept])
-    mean: Array = np.linalg.solve(
+    return np.linalg.solve(
         weights.sum(axis=0), np.einsum('kij,kj->i', weights, points[kept]))
-    return mean
 
 
 class ObservationError(NamedTuple):

@@ -69,8 +69,7 @@ class Moments(NamedTuple):
         e = (self.numerators - self.denominators) / self.denominators.sum(axis=0)
         slope = np.array([(moved.log_q() - self.log_q()) / LAST_STEP for moved in beside]).T
         to_factors = np.linalg.pinv(slope)
-        errors: Array = np.sqrt(np.diag(to_factors @ e.T @ e @ to_factors.T))
-        return errors
+        return np.sqrt(np.diag(to_factors @ e.T @ e @ to_factors.T))
 
 
 #: Observer and observed landmark or robot.

@@ -48,8 +48,7 @@ class PairMotion:
         J = np.concatenate([np.stack(
             [-u, by_turn * turned[:, None], -by_turn * times[:, None], by_bearing], axis=2),
             by_position], axis=2)
-        normalised: Array = J / self.pairs.sigma[:, None, None]
-        return normalised
+        return J / self.pairs.sigma[:, None, None]
 
 
 def measured_motion(pairs: ObservationPairs) -> PairMotion:
@@ -92,5 +91,4 @@ def _products(matrices: Array, vectors: Array) -> Array:
 
 def _seconds(begin: Stamps, end: Stamps) -> Array:
     """Return the times (n,) between stamps (n,) [s]."""
-    times: Array = (end - begin) / NS
-    return times
+    return (end - begin) / NS

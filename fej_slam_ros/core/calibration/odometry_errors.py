@@ -43,8 +43,7 @@ def fit_to_truth(motions: TrueMotions, given: Array) -> ErrorEstimate:
     def errors(values: Array) -> Array:
         e = pose_error(motions.true, motions.by_odometry(values))
         # Relative to the scale: otherwise the scale 0, at which odometry has no noise, fits best.
-        scaled: Array = e / values[[0, 0, 1]]
-        return scaled
+        return e / values[[0, 0, 1]]
 
     # Metres and radians are made comparable by the residuals of a first fit.
     first = _least(lambda values: errors(values).ravel(), LIMITS.none, np.ones(3, bool))

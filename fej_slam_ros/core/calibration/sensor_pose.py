@@ -215,8 +215,7 @@ class _PlacedPairs:
         turned = np.einsum('nij,nj->ni', self.A, self.p @ D.T) - np.einsum(
             'nij,nj->ni', self.B, self.q @ D.T)
         J = np.concatenate([self.A - self.B, turned[:, :, None]], axis=2)
-        normalised: Array = J / self.sigma[:, None, None]
-        return normalised
+        return J / self.sigma[:, None, None]
 
     def agreement(self, pose: Array) -> float:
         """Return the root median squared distance, 1 for the claimed noise."""

@@ -69,8 +69,7 @@ class ErrorFit:
         # The mean is 0 but where an error is at its limit.
         of_blocks -= of_blocks.mean(axis=0)
         count = len(of_blocks)
-        covariance: Array = of_blocks.T @ of_blocks * count / max(count - 3, 1)
-        return covariance
+        return of_blocks.T @ of_blocks * count / max(count - 3, 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -192,8 +192,7 @@ def _with_frame_error(solved: SmoothedMap, origin: Array, P: Array) -> SmoothedM
     def added(x: Array) -> Array:
         """Return the covariance (n, 3, 3) that poses or points x (n, d) gain."""
         G = models.Phi_all(x[:, :2] - origin[:2])
-        of_frame: Array = G @ P @ G.transpose(0, 2, 1)
-        return of_frame
+        return G @ P @ G.transpose(0, 2, 1)
 
     trajectories = {}
     for robot, x in solved.trajectories.items():

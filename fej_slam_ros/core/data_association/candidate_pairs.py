@@ -205,8 +205,7 @@ def _second_order_sigma(covariances: Array) -> Array:
     zero for landmarks that turn with the robot, and common to all observations of a scan.
 
     """
-    sigma: Array = math.sqrt(SECOND_ORDER) * perpendicular(covariances)
-    return sigma
+    return math.sqrt(SECOND_ORDER) * perpendicular(covariances)
 
 
 def _innovation_covariance(state: JointState, H: Array, columns: Indices, R: Array) -> Array:

@@ -341,8 +341,7 @@ class CompressedCovariance:
 
     def _combination(self, outside: Indices) -> Array:
         """Return C (k, p) of k states outside, in the order of the proxies."""
-        C: Array = self._C[outside, :len(self._proxies)]
-        return C
+        return self._C[outside, :len(self._proxies)]
 
     def _add_combinations(self, columns: Array) -> None:
         """Add columns of C for proxies that are to be added."""
@@ -363,8 +362,7 @@ class CompressedCovariance:
         return int(self._core_index.take(indices).min(initial=0)) >= 0
 
     def _is_outside(self, indices: Indices) -> Flags:
-        outside: Flags = self._core_index[indices] < 0
-        return outside
+        return self._core_index[indices] < 0
 
     def _slot(self, slot: Slot) -> Slot:
         return Slot(int(self._core_index[slot.start]), slot.size)

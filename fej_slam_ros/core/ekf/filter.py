@@ -236,8 +236,7 @@ class Filter:
 
     def _residual(self, stack: StackedObservations) -> Array:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
-        residual: Array = stack.z - KERNEL.h(self.state.estimates_of(stack.columns))
-        return residual
+        return stack.z - KERNEL.h(self.state.estimates_of(stack.columns))
 
     def _jacobian(self, stack: StackedObservations) -> SparseRows:
         """Return H at the points of the policy, eqs. (10), (11)."""

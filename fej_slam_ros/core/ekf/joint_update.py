@@ -72,8 +72,7 @@ class UpdateInBlocks:
     def own(self) -> Array:
         """Return the diagonal blocks (m, 2, 2) of S."""
         P, H = self._covariance.blocks(self._H.columns), self._H.blocks
-        S: Array = H @ P @ H.transpose(0, 2, 1) + self._R
-        return S
+        return H @ P @ H.transpose(0, 2, 1) + self._R
 
     def correction(self, r: Array) -> CorrectionInBlocks:
         """Return the correction by residuals r (2 m,); the covariance stays as it is."""

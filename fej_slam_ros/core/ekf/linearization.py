@@ -71,8 +71,7 @@ class Linearization:
         By default C(phi) z; the first estimate of the new variable is the point itself.
 
         """
-        difference: Array = point - self._value(state, robot)[:2]
-        return difference
+        return point - self._value(state, robot)[:2]
 
     def observation_points(self, state: JointState, columns: Indices) -> Array:
         """

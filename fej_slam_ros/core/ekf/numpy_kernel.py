@@ -184,8 +184,7 @@ def correction(
 
 def product(A: Array, B: Array) -> Array:
     """Return A B (m, n) of A (m, k) and B (k, n): 2 m k n flops."""
-    C: Array = A @ B
-    return C
+    return A @ B
 
 
 def subtract_product(lower: Array, W: Array, n: int) -> None:  # noqa: ARG001

@@ -87,8 +87,7 @@ def null_space(M: Array) -> Array:
     """Return an orthonormal basis (n, k) of the unobservable directions, given M (m, n)."""
     # R of M = Q R has the same null space and is much smaller.
     Vt = np.linalg.svd(np.linalg.qr(M, mode='r'))[2]
-    basis: Array = Vt[rank(M):].T
-    return basis
+    return Vt[rank(M):].T
 
 
 def rigid_motions(state: JointState, x: Array) -> Array:

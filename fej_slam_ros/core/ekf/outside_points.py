@@ -39,8 +39,7 @@ class OutsidePoints:
 
     def correction(self, states: Indices | slice, C: Array, dg: Array) -> Array:
         """Return by how much k states are corrected, given C (rows, p) and dg (p,)."""
-        dx: Array = C[states] @ dg
-        return dx
+        return C[states] @ dg
 
     def change(
         self, C: Array, D: Array, first: Array, may_end: bool
@@ -112,8 +111,7 @@ class TurningPoints(OutsidePoints):
 
     def correction(self, states: Indices | slice, C: Array, dg: Array) -> Array:
         """Return by how much k states are corrected, which `turn` has added up."""
-        dx: Array = self._dx[states]
-        return dx
+        return self._dx[states]
 
     def change(
         self, C: Array, D: Array, first: Array, may_end: bool

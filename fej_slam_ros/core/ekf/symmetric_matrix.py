@@ -141,8 +141,7 @@ class SymmetricMatrix:
             P[:, own] = P[own].T
             P[own, own] = block
         places = np.searchsorted(states, indices)
-        chosen: Array = P[places[:, None], places]
-        return chosen
+        return P[places[:, None], places]
 
     def _elements(self, i: Indices, j: Indices) -> Array:
         """Return the elements in rows i and columns j, without the propagations."""

@@ -150,8 +150,7 @@ class _Columns:
         _require(end <= len(self._content))
         byte_rows = np.frombuffer(self._content[self._at:end], 'u1').reshape(size, count)
         self._at = end
-        column: NDArray[Any] = np.ascontiguousarray(byte_rows.T).view(dtype).ravel()
-        return column
+        return np.ascontiguousarray(byte_rows.T).view(dtype).ravel()
 
     def end(self) -> None:
         """Check that no bytes remain."""

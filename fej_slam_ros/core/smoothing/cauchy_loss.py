@@ -27,5 +27,4 @@ class CauchyLoss:
 
     def weights(self, d2: Array) -> Array:
         """Return the weights of their squares, (k,)."""
-        weights: Array = 1.0 / (1.0 + d2 / self.c2)
-        return weights
+        return 1.0 / (1.0 + d2 / self.c2)

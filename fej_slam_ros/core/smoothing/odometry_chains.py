@@ -285,8 +285,7 @@ class ReducedChains:
             from_a @ P_a[chain] @ from_a.transpose(0, 2, 1) + cross + cross.transpose(0, 2, 1)
             + W @ P_b[chain] @ W.transpose(0, 2, 1) + (given + given.transpose(0, 2, 1)) / 2.0)
         back = Phi_all(-self.to_end[:, inner].T)
-        covariances: Array = back @ P @ back.transpose(0, 2, 1)
-        return covariances
+        return back @ P @ back.transpose(0, 2, 1)
 
     def _inner(self) -> tuple[Indices, Indices]:
         """Return the chain and the position in `rows` of each pose in between."""

@@ -45,8 +45,7 @@ def noise(truth: Series) -> Array:
     if not len(second):
         return np.zeros(3)
     # The variance of a second difference is 1 + 4 + 1 of that of one error.
-    sigma: Array = SIGMA_PER_MEDIAN / math.sqrt(6.0) * np.median(np.abs(second), axis=0)
-    return sigma
+    return SIGMA_PER_MEDIAN / math.sqrt(6.0) * np.median(np.abs(second), axis=0)
 
 
 def truth_sigma(truth: Series) -> Array:

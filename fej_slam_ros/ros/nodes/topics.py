@@ -103,8 +103,7 @@ class NodeTopics:
 
     def is_wanted(self, topic: str) -> bool:
         """Return whether a topic has subscribers."""
-        wanted: bool = self._publishers[topic].get_subscription_count() > 0
-        return wanted
+        return self._publishers[topic].get_subscription_count() > 0
 
     def wait_for_arrival(self, is_urgent: Callable[[], bool] = lambda: False) -> None:
         """Wait until the subscribers have acknowledged all messages, if they do so."""
