@@ -16,7 +16,7 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
-from fej_slam_ros.ros.session.estimator_diagnostics import NIS_ERROR
+from fej_slam_ros.ros.session.estimator_reports import NIS_ERROR
 from fej_slam_ros.ros.session.input_health import are_repeated
 from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 

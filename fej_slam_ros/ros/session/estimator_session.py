@@ -21,9 +21,8 @@ from fej_slam_ros.ros.files.run_summary import estimator_summary
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import ParameterChange, RunSettings
 from fej_slam_ros.ros.published_maps import estimator_maps
-from fej_slam_ros.ros.session.estimator_diagnostics import EstimatorDiagnostics
-from fej_slam_ros.ros.session.estimator_log import EstimatorLog
 from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
+from fej_slam_ros.ros.session.estimator_reports import EstimatorDiagnostics, EstimatorLog
 from fej_slam_ros.ros.session.inputs import Inputs, restored_inputs
 from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication, rejections

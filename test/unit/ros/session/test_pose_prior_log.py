@@ -1,6 +1,6 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A rejected pose has a line with its reason; test_estimator_log.py has those that are used."""
+"""A rejected pose has a line with its reason; test_estimator_reports.py has those in use."""
 
 import numpy as np
 import pytest
