@@ -1,20 +1,29 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Alignment of two maps by the rendezvous of their robots, Algorithm 1 of [Andersson]."""
+"""
+Alignment of two maps by the rendezvous of their robots, Algorithm 1 of [Andersson].
+
+Of several rendezvous the largest set is used of which any two agree: each alone gives a base node
+by Algorithm 1, and two agree if their base nodes differ by no more than their covariances allow.
+The drift of the maps, an error of both, is counted twice: wrong rendezvous are found, and
+inaccurate ones are left to the test against the joint map. This is pairwise consistency
+maximisation (Mangelson et al., Pairwise Consistent Measurement Set Maximization, ICRA 2018); of at
+most `MAX_COMPARED` all sets are tried.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
-from fej_slam_ros.core.csam.agreement import largest_agreement, MAX_COMPARED
 from fej_slam_ros.core.csam.base_node import (
     align, Alignment, BaseNode, central, farthest, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, MIN_PER_OUTLIER, Rendezvous
 from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
-from fej_slam_ros.core.geometry import Indices
+from fej_slam_ros.core.geometry import Indices, wrap_all
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.marginals import Information
 
@@ -24,6 +33,8 @@ InformationOf = Callable[[JointMap, Indices], RendezvousInformation]
 AlignmentInput = tuple[RendezvousInformation, RendezvousInformation, RendezvousObservations]
 #: Observations in the middle of a rendezvous that align the maps; the joint map uses all.
 ALIGNMENT_WINDOW = 50
+#: Number of rendezvous of which the largest set is found: each needs the information of both maps.
+MAX_COMPARED = 5
 
 
 def alignment_window(measurements: Measurements) -> Measurements:
@@ -124,6 +135,18 @@ class RendezvousAligner:
         return group.rendezvous_information(poses, self._information[group])
 
 
+def largest_agreement(base_nodes: Sequence[BaseNode], rules: JoinRules) -> tuple[int, ...]:
+    """Return the indices of the largest set of which any two agree; of equal ones the first."""
+    pairs = {
+        (i, k) for i, k in combinations(range(len(base_nodes)), 2)
+        if _agree(base_nodes[i], base_nodes[k], rules)}
+    sets = (
+        chosen for size in range(len(base_nodes), 0, -1)
+        for chosen in combinations(range(len(base_nodes)), size)
+        if pairs.issuperset(combinations(chosen, 2)))
+    return next(sets, ())
+
+
 def _aligned(
     window: Measurements, input_of: Callable[[Measurements], AlignmentInput], rules: JoinRules
 ) -> Alignment | JoinFailure:
@@ -152,3 +175,11 @@ def _relates(rendezvous: Rendezvous, p: JointMap, q: JointMap) -> bool:
     """Return whether a rendezvous has observations between robots of two maps."""
     return bool(rendezvous.measurements) and not any(
         set(rendezvous.robots).isdisjoint(group.robots) for group in (p, q))
+
+
+def _agree(a: BaseNode, b: BaseNode, rules: JoinRules) -> bool:
+    difference = b.pose - a.pose
+    difference[2:] = wrap_all(difference[2:])
+    # Also of base nodes that are exact in some direction.
+    information = np.linalg.pinv(a.P + b.P, hermitian=True)
+    return float(difference @ information @ difference) <= rules.limit(3)

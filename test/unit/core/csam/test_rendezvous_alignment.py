@@ -3,15 +3,17 @@
 """Of several rendezvous of two maps, those that agree align them."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap
-from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
+from fej_slam_ros.core.csam.rendezvous_alignment import largest_agreement, RendezvousAligner
 from fej_slam_ros.core.geometry import compose, inverse, transform, transform_poses
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import NS
@@ -110,3 +112,43 @@ def test_a_map_with_singular_information_stays_alone_while_the_others_are_joined
     assert [joint.robots for joint in maps] == [('r1', 'r3'), ('r2',)]
     assert [failure.robots for failure in failed] == [('r2', 'r3')]
     assert 'cannot align' in failed[0].reason
+
+
+P = np.diag([0.04, 0.04, 0.0025])
+
+
+def base_nodes(seed, places):
+    """Return base nodes near poses that are given by number."""
+    rng = np.random.default_rng(seed)
+    means = [np.array([5.0 * place, -place, np.pi - 0.01]) for place in places]
+    return [BaseNode(wrapped(mean + rng.multivariate_normal(np.zeros(3), P)), P) for mean in means]
+
+
+def wrapped(pose):
+    """Return a pose whose heading is in the range of headings, near to its end."""
+    return np.array([*pose[:2], (pose[2] + np.pi) % (2.0 * np.pi) - np.pi])
+
+
+@pytest.mark.parametrize(('places', 'expected'), [
+    ([0, 0, 0], (0, 1, 2)), ([1, 0, 0], (1, 2)), ([0, 1, 0, 1, 1], (1, 3, 4)),
+    ([0, 1, 2], (0,)), ([0, 1, 0, 1], (0, 2)), ([], ())])
+def test_the_largest_set_is_found_and_of_equal_ones_the_first(places, expected):
+    assert largest_agreement(base_nodes(1, places), DEFAULT_RULES) == expected
+
+
+def test_correct_base_nodes_agree_as_often_as_the_rules_state():
+    """Three pairs of each of 3,000 triples: at most 9,000 times 1e-4 disagree by chance."""
+    sets = [largest_agreement(base_nodes(seed, [0, 0, 0]), DEFAULT_RULES) for seed in range(3000)]
+
+    assert sum(len(chosen) < 3 for chosen in sets) <= 4
+
+
+def test_any_two_of_a_set_agree():
+    """A chain of base nodes, each near the next one only."""
+    chain = [BaseNode(np.array([0.9 * k, 0.0, 0.0]), P) for k in range(5)]
+
+    chosen = largest_agreement(chain, DEFAULT_RULES)
+
+    limit = np.sqrt(0.08 * DEFAULT_RULES.limit(3))
+    assert len(chosen) == 2
+    assert all(0.9 * (k - i) < limit for i, k in combinations(chosen, 2))
