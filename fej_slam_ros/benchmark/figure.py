@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from fej_slam_ros.benchmark.machine import Machine
 from fej_slam_ros.benchmark.message_budget import MessageBudget
 from fej_slam_ros.benchmark.peers import PeerTime
-from fej_slam_ros.benchmark.smoother_peers import GrowthTime
+from fej_slam_ros.benchmark.smoother_speed import GrowthTime
 from fej_slam_ros.benchmark.soak import SoakMinute
 from fej_slam_ros.benchmark.step_speed import power, StepTime
 from fej_slam_ros.palette import line_style

@@ -13,8 +13,7 @@ from fej_slam_ros.benchmark.matching_speed import MatchingTime
 from fej_slam_ros.benchmark.message_budget import MessageBudget
 from fej_slam_ros.benchmark.peers import OURS, PeerTime
 from fej_slam_ros.benchmark.run_speed import CampaignTime, RunTime
-from fej_slam_ros.benchmark.smoother_peers import GrowthTime, OUR_SMOOTHER
-from fej_slam_ros.benchmark.smoother_speed import SmootherTime
+from fej_slam_ros.benchmark.smoother_speed import GrowthTime, OUR_SMOOTHER, SmootherTime
 from fej_slam_ros.benchmark.soak import SoakMinute
 from fej_slam_ros.benchmark.step_speed import exponent, StepTime
 from fej_slam_ros.experiments.liu.configurations import CONFIGURATIONS, TABLE_FILTERS

@@ -30,7 +30,6 @@ from fej_slam_ros.benchmark.matching_speed import matching_time
 from fej_slam_ros.benchmark.message_budget import message_budget, TEAMS
 from fej_slam_ros.benchmark.peers import (
     one_robot_times, Peer, PEER_LANDMARKS, peer_times, PeerTime)
-from fej_slam_ros.benchmark.smoother_peers import growth_times
 from fej_slam_ros.benchmark.soak import soak, SoakMinute
 from fej_slam_ros.benchmark.step_speed import SIZES, step_time, TIMED_STEPS
 from fej_slam_ros.benchmark.tables import report
@@ -140,7 +139,7 @@ def _parts(arguments: argparse.Namespace) -> dict[str, Callable[[], Sequence[Any
     if arguments.data is not None:
         parts['batch'] = lambda: _batch(arguments.data)
     if arguments.smoother is not None:
-        parts['growth'] = lambda: growth_times(arguments.smoother, _isam2(10))
+        parts['growth'] = lambda: smoother_speed.growth_times(arguments.smoother, _isam2(10))
     if arguments.peers is not None:
         parts['peers'] = lambda: _peers(arguments.peers)
         if mrpt.is_installed():

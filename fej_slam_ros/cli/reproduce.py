@@ -226,7 +226,7 @@ def _real_runs(order: Order, experiment: Any, tasks: Sequence[Any]) -> None:
 
 
 def _victoria_park(order: Order) -> None:
-    from fej_slam_ros.experiments.liu import victoria_park_figure
+    from fej_slam_ros.experiments.liu import figures
 
     with tqdm(total=victoria_park.SOLUTIONS, unit='solution', disable=None) as bar:
         def progress(solution: str) -> None:
@@ -238,7 +238,7 @@ def _victoria_park(order: Order) -> None:
     write_csv(output / 'victoria_park_poses.csv', victoria_park_report.pose_rows(result))
     write_csv(output / 'victoria_park_landmarks.csv', victoria_park_report.landmark_rows(result))
     _write_report(output / 'victoria_park', victoria_park_report, result)
-    write_figure(output / 'figure_6.png', victoria_park_figure.draw, result)
+    write_figure(output / 'figure_6.png', figures.draw_park, result)
 
 
 def _observability(order: Order) -> None:

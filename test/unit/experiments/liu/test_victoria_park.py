@@ -18,11 +18,11 @@ from fej_slam_ros.core.records import Observation
 from fej_slam_ros.datasets.victoria_park.associated_log import (
     AssociatedLog, CarTeam, OBSERVATION_R, ODOMETRY_Q)
 from fej_slam_ros.errors import UserError
+from fej_slam_ros.experiments.liu.figures import draw_park
 from fej_slam_ros.experiments.liu.victoria_park import (
     BatchSolution, causal_least_squares, dead_reckoning, filtered, first_poses, least_squares,
     MaxDifference, PARK_FILTERS, ParkEstimate, reproduce, rmse, SOLUTIONS, VictoriaPark,
     with_observation_noise)
-from fej_slam_ros.experiments.liu.victoria_park_figure import draw
 from fej_slam_ros.experiments.liu.victoria_park_report import (
     csv_rows, landmark_rows, markdown, pose_rows, summary)
 
@@ -198,7 +198,7 @@ def test_rows_and_summary_hold_the_results(made_up):
 def test_the_figure_is_a_png(made_up):
     picture = BytesIO()
 
-    draw(picture, made_up)
+    draw_park(picture, made_up)
 
     assert picture.getvalue().startswith(b'\x89PNG')
 
