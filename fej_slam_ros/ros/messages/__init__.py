@@ -14,8 +14,8 @@ from typing import Any
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.ros.messages import cloud_cdr, odometry_cdr
 from fej_slam_ros.ros.messages.definitions import OTHER_PACKAGES
+from fej_slam_ros.ros.messages.usual_cdr import read_cloud, read_odometry
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 for _name, _text in OTHER_PACKAGES.items():
@@ -25,8 +25,7 @@ _ENCAPSULATION = 4
 _STAMP = Struct('<iI')
 
 #: Faster deserialisers of the usual messages in the usual encoding.
-_READERS = {
-    'nav_msgs/msg/Odometry': odometry_cdr.read, 'sensor_msgs/msg/PointCloud2': cloud_cdr.read}
+_READERS = {'nav_msgs/msg/Odometry': read_odometry, 'sensor_msgs/msg/PointCloud2': read_cloud}
 
 #: A message of rosbags' type store; ``__msgtype__`` is its type name.
 Message = Any

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from rosbags.typesys.stores.ros2_jazzy import (
     sensor_msgs__msg__PointCloud2 as PointCloud2, sensor_msgs__msg__PointField as PointField)
 
-from fej_slam_ros.ros.messages.cloud_cdr import MAX_LAYOUTS
 from fej_slam_ros.ros.messages.common import header
+from fej_slam_ros.ros.messages.usual_cdr import MAX_LAYOUTS
 
 #: Numpy types by PointField's type codes, and back.
 DATATYPES = {1: 'i1', 2: 'u1', 3: 'i2', 4: 'u2', 5: 'i4', 6: 'u4', 7: 'f4', 8: 'f8'}
