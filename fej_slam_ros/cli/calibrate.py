@@ -172,6 +172,10 @@ def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]
         yield (
             f'true headings of {robot} differ by {heading:.4f} rad from those by its direction of'
             ' travel, which are used: check the frame of its ground truth')
+    for robot, (x, y) in found.sensor_positions.items():
+        yield (
+            f'the sensor of {robot} seems to be {x:+.2f} m further ahead and {y:+.2f} m further to'
+            ' the left: correct its static transform or sensor_pose, and calibrate again')
     range_, bearing = observation_errors.LIMITS.max_error
     for robot, of_observations in found.observations().items():
         if of_observations.is_at_limit.any():

@@ -90,6 +90,10 @@ NOT_RUN = {
     'fej_slam replay husky_bag': 'a bag of the reader; test_recorded_names.py renames topics',
     'fej_slam replay fleet_bag': 'as fej_slam replay husky_bag',
     'fej_slam play husky_bag': 'as fej_slam replay husky_bag',
+    'fej_slam convert robot_bags':
+        'bags of the reader; converters/test_robot_bags.py merges bags',
+    'fej_slam doctor team': 'as fej_slam convert robot_bags',
+    'fej_slam replay team': 'as fej_slam convert robot_bags',
     'fej_slam benchmark': 'minutes; test_benchmark.py runs it smaller',
 }
 #: A fenced block: the file name to save it as, its language, its lines.

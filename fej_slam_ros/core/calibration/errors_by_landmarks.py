@@ -24,8 +24,9 @@ from fej_slam_ros.core.calibration.observation_errors import given_observations
 from fej_slam_ros.core.calibration.odometry_errors import given_odometry, scatter
 from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, ObservationPairs
 from fej_slam_ros.core.calibration.shown_errors import (
-    BLOCK_TIME, ErrorEstimate, ErrorFit, ErrorLimits, MIN_BLOCKS, MIN_FIT_PAIRS, shown_errors)
-from fej_slam_ros.core.geometry import Array, Flags
+    blocks, ErrorEstimate, ErrorFit, ErrorLimits, MIN_BLOCKS, MIN_FIT_PAIRS, MIN_SIGMAS,
+    shown_errors)
+from fej_slam_ros.core.geometry import Array, Flags, Stamps
 from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.records import NS, Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
@@ -39,6 +40,8 @@ LIMITS = ErrorLimits(*map(np.append, odometry_errors.LIMITS, (
 #: and aside; and the largest error that is searched. On circles about one centre, the former is a
 #: bearing bias and the latter a scale of distances.
 POSITION_SIGMA, MAX_POSITION = (0.1, 0.02), 0.5
+#: Smallest error of a coordinate of the position that is reported [m].
+MIN_POSITION = 0.1
 #: Maximum number of iterations by instruments, and the step of all values after which they end.
 MAX_ITERATIONS, MAX_STEP = 30, 1e-7
 
@@ -48,6 +51,8 @@ class ErrorsByLandmarks(NamedTuple):
 
     odometry: ErrorEstimate  #: scales of distances and turns, and turn bias
     observations: ErrorEstimate  #: range scale, always that of the settings, and bearing bias
+    #: (2,) array, of the sensor, ahead and to the left of the given one [m]; 0 where not shown
+    position: Array
 
 
 def fit_to_landmarks(
@@ -65,16 +70,21 @@ def fit_to_landmarks(
         odometry, [without_systematic_errors(scan, ranges_only) for scan in scans],
         MAX_LANDMARK_TIME)
     stamps = pairs.stamps[0]
-    if len(stamps) < MIN_FIT_PAIRS or len(np.unique(stamps // BLOCK_TIME)) < MIN_BLOCKS:
+    if len(stamps) < MIN_FIT_PAIRS or len(np.unique(blocks(stamps))) < MIN_BLOCKS:
         return None
-    found = shown_errors(
-        partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs)),
-        LIMITS, stamps, np.append(given_odometry(robot), given[1]))
+    fitted = partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs))
+    found = shown_errors(fitted, LIMITS, stamps, np.append(given_odometry(robot), given[1]))
     bearing = found.part(slice(3, 4))
     return ErrorsByLandmarks(found.part(slice(3)), ErrorEstimate(
         np.append(given[0], bearing.values), np.append(np.inf, bearing.sigma),
         np.append(False, bearing.is_known), np.append(False, bearing.is_at_limit),
-        bearing.samples))
+        bearing.samples), _shown_position(fitted(LIMITS.none, np.ones(4, bool)), stamps))
+
+
+def _shown_position(fit: ErrorFit, stamps: Stamps) -> Array:
+    """Return the position (2,) of the sensor by a fit of all errors, 0 where none is shown."""
+    x, (_, sigma) = fit.x[-2:], fit.standard_errors(blocks(stamps))
+    return np.where(np.abs(x) > np.maximum(MIN_SIGMAS * sigma[-2:], MIN_POSITION), x, 0.0)
 
 
 def _by_instruments(

@@ -60,7 +60,14 @@ class ErrorFit:
     gradients: Array  #: (k, m) array, of half the robust cost of each residual
     scatter: float  #: standard deviation of the residuals
 
-    def covariance(self, block: Indices) -> Array:
+    def standard_errors(self, block: Indices) -> tuple[Array, Array]:
+        """Return those (m,) for independent pairs, and the larger ones that blocks show."""
+        P = np.linalg.inv(self.information)
+        of_independent = np.sqrt(np.abs(np.diag(P))) * self.scatter
+        of_blocks = np.sqrt(np.diag(P @ self._covariance(block) @ P.T))
+        return of_independent, np.maximum(of_independent, of_blocks)
+
+    def _covariance(self, block: Indices) -> Array:
         """Return the (m, m) covariance of the gradient for pairs that depend within blocks."""
         m = len(self.x)
         of_pairs = self.gradients.reshape(len(block), -1, m).sum(axis=1)
@@ -70,6 +77,11 @@ class ErrorFit:
         of_blocks -= of_blocks.mean(axis=0)
         count = len(of_blocks)
         return of_blocks.T @ of_blocks * count / max(count - 3, 1)
+
+
+def blocks(stamps: Stamps) -> Indices:
+    """Return the number (n,) of the block of each pair, from its stamp (n,) [ns]."""
+    return np.unique(stamps // BLOCK_TIME, return_inverse=True)[1]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,16 +112,13 @@ def shown_errors(
     are the same in the data, the first counts.
 
     """
-    _, block = np.unique(stamps // BLOCK_TIME, return_inverse=True)
-    n = len(given)
+    block, n = blocks(stamps), len(given)
     free, fixed, of_all = np.ones(n, bool), limits.none.copy(), np.empty(0)
     is_known, is_at_limit = np.ones(n, bool), np.zeros(n, bool)
     while True:
         fit = fitted(fixed, free)
-        x, P = fit.x[:n], np.linalg.inv(fit.information)
-        of_independent = np.sqrt(np.abs(np.diag(P)[:n])) * fit.scatter
-        of_blocks = np.sqrt(np.diag(P @ fit.covariance(block) @ P.T)[:n])
-        sigma = np.maximum(of_independent, of_blocks)
+        x = fit.x[:n]
+        of_independent, sigma = (errors[:n] for errors in fit.standard_errors(block))
         of_all = sigma if free.all() else of_all
         known, shown, at_limit = limits.judged(x, sigma)
         hidden = np.flatnonzero(free & ~shown)

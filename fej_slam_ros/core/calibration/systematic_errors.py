@@ -31,6 +31,8 @@ class SystematicErrors:
     odometry_by_landmarks: Mapping[str, ErrorEstimate] = field(default_factory=dict)
     observations_by_truth: Mapping[str, ErrorEstimate] = field(default_factory=dict)
     observations_by_landmarks: Mapping[str, ErrorEstimate] = field(default_factory=dict)
+    #: (2,) arrays, positions of sensors ahead and to the left of the given ones [m]
+    sensor_positions: Mapping[str, Array] = field(default_factory=dict)
     #: of the headings of true poses, with their standard errors [rad]
     headings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -112,7 +114,9 @@ def with_errors_by_landmarks(
         found,
         odometry_by_landmarks={robot: fit.odometry for robot, fit in by_landmarks.items()},
         observations_by_landmarks={
-            robot: fit.observations for robot, fit in by_landmarks.items()})
+            robot: fit.observations for robot, fit in by_landmarks.items()},
+        sensor_positions={
+            robot: fit.position for robot, fit in by_landmarks.items() if fit.position.any()})
 
 
 def with_corrected_headings(

@@ -48,6 +48,14 @@ def check(
             f' {"left" if turned > 0.0 else "right"}',
             'run fej_slam calibrate; check the yaw of the sensor',
             errors.observations.samples)
+    if errors.position.any():
+        x, y = errors.position
+        yield warning(
+            'sensor_pose', f'{robot.name}/landmarks',
+            f'while the robot turns, the sensor seems to be {x:+.2f} m further ahead and'
+            f' {y:+.2f} m further to the left than it should be',
+            'correct the static transform of the sensor or its sensor_pose',
+            errors.observations.samples)
 
 
 def _size(correction: float, above: str, below: str) -> str:

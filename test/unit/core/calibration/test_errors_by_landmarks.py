@@ -64,11 +64,18 @@ def test_a_sensor_without_bias_has_none_whatever_was_given():
     assert found.values[1] == 0.0
 
 
+@pytest.mark.parametrize(('radius', 'sensor'), [(None, (0.0, 0.0, 0.03)), (4.0, AHEAD)])
+def test_no_position_is_reported_that_is_small_or_not_determined(radius, sensor):
+    assert not fit(*run(radius=radius, sensor=sensor)).position.any()
+
+
 @pytest.mark.parametrize('position', [(0.15, 0.0), (0.0, 0.15), (-0.2, 0.1)])
 def test_a_sensor_beside_the_origin_is_not_turned(position):
     """At 0.3 rad/s and 0.5 m/s, 0.15 m ahead turns the direction of travel by 0.09 rad."""
     errors = fit(*run(sensor=(*position, 0.0), turn_rate=0.3))
 
+    # The standard error of a coordinate is 1 mm.
+    assert errors.position == pytest.approx(position, abs=0.005)
     assert errors.observations.is_known[1]
     assert errors.observations.values[1] == 0.0
     assert (errors.odometry.values == [1.0, 1.0, 0.0]).all()

@@ -9,9 +9,9 @@ from fej_slam_ros.ros.doctor import systematic_errors
 from helpers.wrong_odometry import run
 
 
-def whats(scale=(1.0, 1.0), bias=0.0, yaw=0.0, **given):
-    """Return the descriptions of the findings on odometry with errors and a turned sensor."""
-    odometry, scans, _ = run(scale, bias, seconds=300.0, sensor=(0.0, 0.0, yaw))
+def whats(scale=(1.0, 1.0), bias=0.0, yaw=0.0, position=(0.0, 0.0), **given):
+    """Return the descriptions of the findings on odometry with errors and a misplaced sensor."""
+    odometry, scans, _ = run(scale, bias, seconds=300.0, sensor=(*position, yaw))
     robot = RobotSettings('r', 1, **given)
     return [finding.what for finding in systematic_errors.check(robot, odometry, scans)]
 
@@ -56,3 +56,9 @@ def test_a_turned_sensor_is_named_with_its_side(yaw, side):
 
     assert what.endswith(f'rad too far to the {side}')
     assert not whats(yaw=yaw, observation_bearing_bias=-yaw)
+
+
+def test_a_sensor_elsewhere_on_the_robot_is_named_with_its_place():
+    (what,) = whats(position=(0.3, -0.1))
+
+    assert '+0.30 m further ahead and -0.10 m further to the left' in what
