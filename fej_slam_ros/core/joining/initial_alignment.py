@@ -36,8 +36,6 @@ LinearizedAt = Callable[[Poses, Points], tuple[Poses, Points]]
 MIN_BASELINE = 1e-6
 #: Maximum number of steps; a handful is usual.
 MAX_STEP0_ITERATIONS = 100
-#: The iteration ends below this |dx|, or when rounding prevents smaller steps.
-STEP0_TOLERANCE = 1e-12
 #: A smaller predicted decrease of the cost, which has no unit, is rounding.
 MIN_DECREASE = 1e-22
 #: Smallest increment of a coordinate that rounding allows, relative to the coordinate.
@@ -81,6 +79,7 @@ def closed_form(poses: Poses, points: Points, scans: InitialScans) -> tuple[Pose
 def align(
     prior: InitialAlignment, guess: Poses, guess_points: Points, scans: InitialScans,
     linearized_at: LinearizedAt = lambda poses, points: (poses, points),
+    tolerance: float = 1e-12,
 ) -> InitialAlignment:
     """
     Solve eq. (12) for new robots and landmarks with respect to a prior, by Gauss-Newton.
@@ -90,8 +89,9 @@ def align(
     prior : known robots and landmarks
     guess, guess_points : first guesses of new robots and landmarks
     scans : observations by all these robots; those of other landmarks are ignored
-    linearized_at : points at which the covariance is linearised, given those of the last step,
-        which are the solution but for `STEP0_TOLERANCE`
+    linearized_at : points at which the covariance is linearised, given the last linearisation
+        (which at the default tolerance is the solution)
+    tolerance : the iteration ends below this |dx|, or when rounding prevents smaller steps
 
     Raises
     ------
@@ -100,7 +100,7 @@ def align(
         correct observations have in one of 10^9 cases.
 
     """
-    problem = _Problem(prior, guess, guess_points, scans)
+    problem = _Problem(prior, guess, guess_points, scans, tolerance)
     start = problem.stacked(prior.poses | guess, prior.points | guess_points)
     try:
         (x, xi), last, _ = gauss_newton(
@@ -117,6 +117,7 @@ def align(
 def align_independently(
     prior: InitialAlignment, guess: Poses, guess_points: Points, scans: InitialScans,
     linearized_at: LinearizedAt = lambda poses, points: (poses, points),
+    tolerance: float = 1e-12,
 ) -> InitialAlignment:
     """
     Solve as `align`, with the paper's P_0 = diag(P_anchor, P_s); the first robot is the anchor.
@@ -129,7 +130,7 @@ def align_independently(
     exact[:3, :] = exact[:, :3] = 0.0
     solved = align(
         InitialAlignment(prior.poses, prior.points, exact), guess, guess_points, scans,
-        linearized_at)
+        linearized_at, tolerance)
     solved.P[:3, :3] = prior.P[:3, :3]
     return solved
 
@@ -152,7 +153,8 @@ class _Problem:
     """Eq. (12) in the unknowns [xi, new poses, new points]; see `gauss_newton`."""
 
     def __init__(
-        self, prior: InitialAlignment, poses: Poses, points: Points, scans: InitialScans
+        self, prior: InitialAlignment, poses: Poses, points: Points, scans: InitialScans,
+        tolerance: float,
     ) -> None:
         names, keys = [*prior.poses, *poses], [*prior.points, *points]
         self._pose_at = {name: 3 * k for k, name in enumerate(names)}
@@ -161,6 +163,7 @@ class _Problem:
             (self._pose_at[name], self._point_at[key], observation)
             for name in names for key, observation in scans.get(name, ())
             if key in self._point_at]
+        self._tolerance = tolerance
         #: Number of measurements in excess of the unknowns
         self.dof = 2 * len(self._observations) - 3 * len(poses) - 2 * len(points)
         # T with dx_joint = T [xi, new poses, new points].
@@ -210,7 +213,7 @@ class _Problem:
 
     def has_converged(self, x: _Unknowns, dx: Array, decrease: float) -> bool:
         """Return whether |dx| is below the tolerance or lost in rounding."""
-        smallest = max(STEP0_TOLERANCE, RELATIVE_PRECISION * float(np.abs(x[0]).max()))
+        smallest = max(self._tolerance, RELATIVE_PRECISION * float(np.abs(x[0]).max()))
         return bool(np.linalg.norm(dx) < smallest or decrease < MIN_DECREASE)
 
     def covariance(self, at: _LinearizedStep0) -> Array:
