@@ -52,10 +52,10 @@ def warn_with_path(path: Path | None) -> Warn:
 
 
 def load_values(
-    path: Path, nodes: Sequence[str], warn: Warn = warn_once
+    path: Path, nodes: Sequence[str], warn: Warn = warn_once, namespace: str = '/',
 ) -> dict[str, object]:
     """Return the flat parameters in a ROS parameter file for some nodes, values unchecked."""
-    names = [f'/{node}' for node in nodes]
+    names = [f'{namespace.rstrip("/")}/{node}' for node in nodes]
     values = {
         name: value for section, name, value in _parameters(path)
         if any(_applies(section, node) for node in names)}

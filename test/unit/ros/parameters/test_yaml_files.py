@@ -102,7 +102,7 @@ def test_the_namespace_of_the_node_chooses_the_sections(file, section, applies):
         '/fleet/**: {ros__parameters: {robots: [r1]}}\n'
         f'{section}: {{ros__parameters: {{max_delay: 0.7}}}}\n')
 
-    values = load_values(path, ['fleet/estimator'])
+    values = load_values(path, ['estimator'], namespace='/fleet')
 
     assert values['robots'] == ['r1']
     assert ('max_delay' in values) == applies
