@@ -59,6 +59,6 @@ def test_a_turned_sensor_is_named_with_its_side(yaw, side):
 
 
 def test_a_sensor_elsewhere_on_the_robot_is_named_with_its_place():
-    (what,) = whats(position=(0.3, -0.1))
+    (what,) = whats(position=(0.3, -0.15))
 
-    assert '+0.30 m further ahead and -0.10 m further to the left' in what
+    assert '+0.30 m further ahead and -0.15 m further to the left' in what
