@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import RawMessage
 
@@ -30,10 +31,11 @@ class RobotBags:
 
     def __init__(self, bag_of: Mapping[str, Path]) -> None:
         self._bag_of = bag_of
-        self._names = {robot: _names(robot, bag) for robot, bag in bag_of.items()}
-        self.topics = {
-            name: topic for robot, bag in bag_of.items()
-            for name, topic in bags.topics(bag, self._names[robot]).items()}
+        self._names = {
+            robot: TopicNames({'/': f'/{robot}/', f'/{robot}/': f'/{robot}/'}) for robot in bag_of}
+        self.topics: dict[str, BagTopic] = {}
+        for robot, bag in bag_of.items():
+            self.topics |= _topics(bag, self._names[robot])
 
     def messages(self) -> Iterator[RawMessage]:
         """Yield the messages of all bags in the order of recording."""
@@ -42,15 +44,15 @@ class RobotBags:
             key=lambda message: message.received or 0)
 
 
-def _names(robot: str, bag: Path) -> TopicNames:
-    """Return the names of topics in a bag for the team; UserError if two become one."""
-    names = TopicNames({'/': f'/{robot}/', f'/{robot}/': f'/{robot}/'})
+def _topics(bag: Path, names: TopicNames) -> dict[str, BagTopic]:
+    """Return the topics of a bag by their names in the team; UserError if two become one."""
     owners: dict[str, str] = {}
-    for topic in bags.topics(bag):
+    recorded = bags.topics(bag)
+    for topic in recorded:
         name = names.name(topic)
         other = owners.setdefault(name, topic)
         if other != topic:
             raise UserError(
                 f'{bag} has both /{other} and /{topic}, which would both be /{name}: leave one of'
                 ' them out with rosbags-convert --exclude-topic')
-    return names
+    return {name: recorded[topic] for name, topic in owners.items()}

@@ -35,6 +35,10 @@ class DetectorSession(FrontEnd):
     Landmarks have the stamp of the last beam. They are in the base frame of the robot if static
     transforms give the pose of its laser, else in the frame of the laser.
 
+    Attributes
+    ----------
+    detectors : the detectors by robot
+
     """
 
     def __init__(self, settings: DetectorSettings) -> None:
