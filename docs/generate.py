@@ -43,7 +43,8 @@ ODOMETRY_RATE, SCAN_RATE, OBSERVATIONS = 50, 10, 10
 INPUT_MEANINGS = {
     'odom': 'integrated odometry; only differences of consecutive messages are used. The'
             ' covariance of an increment is dt² times the (vx, vy, wz) block of the later'
-            ' `twist.covariance`; if the block is zero, `odometry_sigma` is used',
+            ' `twist.covariance`; if the block is zero, or `<robot>.use_odometry_covariance` is'
+            ' false, `odometry_sigma` is used',
     'landmarks': 'one scan of landmarks, see [fields of scans](#fields-of-scans)',
     'robots': 'one scan of other robots, with the same fields: `x`, `y` is the `base_link` of the'
               ' observed robot, `id` its `<robot>.id`',
@@ -112,7 +113,8 @@ REASONS = {
         ' quaternion is normalised'),
     RejectionReason.BAD_COVARIANCE:
         'not positive semi-definite; of an observation, of `set_pose`, and of odometry in the'
-        ' smoother, not positive definite',
+        ' smoother, not positive definite. `<robot>.use_odometry_covariance: false` leaves out'
+        ' that of odometry',
     RejectionReason.BAD_CLOUD: '`x` or `y` is missing or no float, or the sizes do not fit',
     RejectionReason.TOO_LARGE:
         'a scan, or all scans of a robot at one stamp, has more points than `max_observations`, or'

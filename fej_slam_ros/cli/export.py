@@ -37,9 +37,9 @@ NO_ODOMETRY = 'the bag has no valid odometry: replay it to see the rejection rea
 #: Parameters, of the team or of a robot, that the exported measurements contain.
 IN_TABLES = ('sensor_pose',)
 IN_GRAPH = (
-    *IN_TABLES, 'odometry_sigma', 'landmark_sigma', 'odometry_scale', 'odometry_turn_bias',
-    'observation_range_scale', 'observation_bearing_bias', 'odometry_noise_scale',
-    'landmark_noise_scale', 'robot_noise_scale')
+    *IN_TABLES, 'use_odometry_covariance', 'odometry_sigma', 'landmark_sigma', 'odometry_scale',
+    'odometry_turn_bias', 'observation_range_scale', 'observation_bearing_bias',
+    'odometry_noise_scale', 'landmark_noise_scale', 'robot_noise_scale')
 
 
 class Exported(NamedTuple):

@@ -78,6 +78,10 @@ class CommonRobotSettings(NoiseSettings):
     base_frame: str | None = parameter(
         None, FRAME, 'base frame: of fused odometry, of relative poses, and that scans may carry',
         default='the child frame of the odometry')
+    use_odometry_covariance: bool = parameter(
+        True, FLAG,
+        'false: the covariance of its odometry is not read, and odometry_sigma is used, for'
+        ' drivers that fill in invalid or invented numbers')
     max_speed: float = parameter(
         50.0, POSITIVE,
         'speed of odometry beyond which its driver has restarted: the robot restarts in its own'

@@ -178,14 +178,13 @@ def _check_messages(
     survey: Survey, trial: Trial, settings: RunSettings, recorded_names: Mapping[str, str]
 ) -> Iterator[Finding]:
     estimation = settings.estimation
-    robots = [robot.name for robot in estimation.robots]
     yield from timing.check(survey, estimation)
     yield from clocks.check(survey, estimation, settings.node.clock_limit)
     yield from frames.check(survey, recorded_names, settings.node.shares_tf())
-    for robot in robots:
-        yield from odometry.check(f'{robot}/odom', survey.odometry(robot))
+    for robot in estimation.robots:
+        yield from odometry.check(survey.odometry(robot.name), robot)
         for kind in OBSERVATION_TOPICS:
-            topic = f'{robot}/{kind}'
+            topic = f'{robot.name}/{kind}'
             yield from observations.check(
                 topic, survey.observations(topic), not trial.estimator.groups.not_in_map)
     yield from rejections.check(survey, trial, estimation)

@@ -10,6 +10,7 @@ from scipy.ndimage import median_filter
 from fej_slam_ros.core.geometry import Array, Stamps, wrap_all
 from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
 from fej_slam_ros.ros.session.input_health import MIN_SPEED_SIGMA
@@ -36,13 +37,15 @@ NOT_ALONG, ALONG = 0.6, 0.8
 SPEED_NAMES = np.array(['vx', 'vy', 'wz'])
 
 
-def check(where: str, topic: OdometrySeries) -> Iterator[Finding]:
-    """Yield implausible motion and covariances."""
+def check(topic: OdometrySeries, robot: RobotSettings) -> Iterator[Finding]:
+    """Yield implausible motion and covariances of the odometry of a robot."""
+    where = f'{robot.name}/odom'
     stamps, moved = topic.increments()
     if len(moved) > 1:
         yield from _motion(where, stamps, moved)
         yield from _yaw(where, topic)
-    yield from _covariances(where, topic)
+    if robot.use_odometry_covariance:
+        yield from _covariances(where, topic, robot.name)
 
 
 def _motion(where: str, stamps: Stamps, moved: Array) -> Iterator[Finding]:
@@ -102,7 +105,7 @@ def _yaw(where: str, topic: OdometrySeries) -> Iterator[Finding]:
             f' were to {fault}', 'give yaw in radians, counterclockwise (REP-103)', len(at))
 
 
-def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
+def _covariances(where: str, topic: OdometrySeries, robot: str) -> Iterator[Finding]:
     # The first message has no increment.
     later = np.array(topic.stamps) > min(topic.stamps, default=0)
     variances = np.array(topic.variances).reshape(-1, 3)[later]
@@ -130,4 +133,5 @@ def _covariances(where: str, topic: OdometrySeries) -> Iterator[Finding]:
                 f'the standard deviation of {", ".join(SPEED_NAMES[columns])} in twist.covariance'
                 f' is {side} {bounds[columns].max():g} in {messages} of {len(variances)} messages',
                 'fill in the variances (not standard deviations) of vx, vy [m^2/s^2] and wz'
-                ' [rad^2/s^2], or all zero if unknown', messages)
+                f' [rad^2/s^2], all zero if unknown, or set {robot}.use_odometry_covariance to'
+                ' false, to use odometry_sigma', messages)

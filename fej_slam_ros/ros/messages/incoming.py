@@ -56,10 +56,13 @@ class StaticTransform(NamedTuple):
     pose: Array  #: (4, 4) array, homogeneous transform of coordinates of the child to the parent
 
 
-def odometry(message: OdometryMessage, robot: str) -> Odometry:
-    """Return odometry as a record; an all-zero twist covariance means unknown."""
-    pose, covariance = planar_pose(message.pose.pose), from_covariance(message.twist.covariance)
-    known = None if covariance.tolist() == UNKNOWN_COVARIANCE else checked_covariance(covariance)
+def odometry(message: OdometryMessage, robot: str, with_covariance: bool = True) -> Odometry:
+    """Return odometry as a record; an all-zero twist covariance, or one not used, is unknown."""
+    pose, known = planar_pose(message.pose.pose), None
+    if with_covariance:
+        covariance = from_covariance(message.twist.covariance)
+        if covariance.tolist() != UNKNOWN_COVARIANCE:
+            known = checked_covariance(covariance)
     return Odometry(robot, from_time(message.header.stamp), pose, known)
 
 

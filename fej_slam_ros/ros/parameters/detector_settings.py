@@ -35,6 +35,10 @@ class LaserRobotSettings:
         'pose of its only laser in the base frame, instead of static transforms; landmarks are'
         ' then in the frame of the laser: give the estimator the same, and <robot>.sensor_frame',
         'm, m, rad', 'static transforms')
+    use_odometry_covariance: bool = parameter(
+        True, FLAG,
+        'false: the covariance of its odometry is not read, as of the estimator; it is small'
+        ' during a scan')
 
 
 @dataclass(frozen=True)

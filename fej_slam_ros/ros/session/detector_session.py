@@ -102,7 +102,8 @@ class DetectorSession(FrontEnd):
         try:
             if message is None:
                 raise incoming.RejectedError(RejectionReason.BAD_MESSAGE)
-            record = incoming.odometry(message, name)
+            record = incoming.odometry(
+                message, name, self._settings.of_robots[name].use_odometry_covariance)
         except incoming.RejectedError as rejected:
             state.rejected_odometry[rejected.reason] += 1
             return

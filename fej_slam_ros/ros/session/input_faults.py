@@ -216,7 +216,8 @@ def _exact_odometry(given: RobotInput) -> Iterator[Fault]:
     if given.health.exact >= EXACT_MESSAGES:
         yield Fault(Level.WARN, (
             f'{given.topic("odom")} has almost no variance of vx or wz in twist.covariance, so'
-            ' that observations hardly correct it: fill in vx, vy and wz, or leave them zero'))
+            ' that observations hardly correct it: fill in vx, vy and wz, leave them zero, or set'
+            f' {given.robot}.use_odometry_covariance to false'))
 
 
 def _too_large(given: RobotInput) -> Iterator[Fault]:

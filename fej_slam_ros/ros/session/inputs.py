@@ -158,7 +158,8 @@ class Inputs:
         self._mounts.restore(stored.get('mounts', {}))
         self.start_check = StartCheck({
             robot: HeldOdometry(missed, [
-                _arrived(deserialize(raw.tobytes(), ODOMETRY), robot, at) for raw, at in arrived])
+                _arrived(deserialize(raw.tobytes(), ODOMETRY), self._consumer.robots[robot], at)
+                for raw, at in arrived])
             for robot, (missed, arrived) in stored.get('held_odometry', {}).items()})
         for robot, scans in stored['waiting_scans'].items():
             self._waiting_scans[robot] = [
@@ -207,7 +208,7 @@ class Inputs:
             self.health.receive_delay(robot.name, kind, received - stamp)
         try:
             if kind == 'odom':
-                for admitted in self.start_check.admit(_arrived(message, robot.name, received)):
+                for admitted in self.start_check.admit(_arrived(message, robot, received)):
                     self._add_odometry(admitted)
             elif kind == 'ground_truth':
                 self.time_jump_detector.add(incoming.true_pose(message, robot.name), received)
@@ -301,8 +302,9 @@ def restored_inputs(
     return inputs
 
 
-def _arrived(message: Message, robot: str, received: int | None) -> ArrivedOdometry:
-    return ArrivedOdometry(incoming.odometry(message, robot), message, received)
+def _arrived(message: Message, robot: RobotSettings, received: int | None) -> ArrivedOdometry:
+    record = incoming.odometry(message, robot.name, robot.use_odometry_covariance)
+    return ArrivedOdometry(record, message, received)
 
 
 def _bytes(message: Message) -> Any:

@@ -89,11 +89,27 @@ CURES_OF_PRIORS: dict[Reason, tuple[str, str]] = {
         'give the variances of x, y and yaw, all of them above zero'),
 }
 
+#: What ignores the covariance of recorded odometry, too.
+IGNORE = '{robot}.use_odometry_covariance to false, to use odometry_sigma'
+#: The same for odometry.
+CURES_OF_ODOMETRY: dict[Reason, tuple[str, str]] = {
+    Reason.OUT_OF_RANGE: (
+        'implausibly large number, or variance above 1e12',
+        f'give metres, and all zero if the covariance is unknown, or set {IGNORE}'),
+    Reason.BAD_COVARIANCE: (
+        'covariance that is not positive definite',
+        f'correct twist.covariance, give all zero if unknown, or set {IGNORE}'),
+}
+
 
 def description_and_cure(topic: str, reason: Reason, settings: CommonSettings) -> tuple[str, str]:
     """Return what the rejected input on a topic is, and the cure; '' where there is none."""
-    is_prior = topic == INITIALPOSE or topic.endswith('/set_pose')
-    what, cure = (CURES | CURES_OF_PRIORS if is_prior else CURES).get(reason, ('', ''))
+    of_topic = {}
+    if topic == INITIALPOSE or topic.endswith('/set_pose'):
+        of_topic = CURES_OF_PRIORS
+    elif topic.endswith('/odom'):
+        of_topic = CURES_OF_ODOMETRY
+    what, cure = (CURES | of_topic).get(reason, ('', ''))
     return what, cure.format(
         robot=topic.partition('/')[0], max_delay=settings.max_delay,
         max_observations=settings.max_observations)

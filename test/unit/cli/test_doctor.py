@@ -384,6 +384,23 @@ def test_motion_beyond_the_limits_of_a_robot_is_named(doctor, tmp_path):
     assert has_finding(found, 'impossible_motion', 'r2/odom', 'r2.max_speed')
 
 
+@pytest.mark.parametrize('covariance', [
+    at(0, -1.0), at(5, 1e-3), lambda c: 1e300 * np.eye(6).ravel(), lambda c: 1e-9 * c])
+def test_recorded_covariances_that_mean_nothing_can_be_ignored(doctor, tmp_path, covariance):
+    bag = planted(tmp_path / 'bag', each('r2/odom', twist_covariance(covariance))(entries(C)))
+    status, found, _ = doctor(bag)
+    cures = [f['cure'] for f in found if f['where'] == 'r2/odom']
+    assert status == 1
+    assert cures
+    assert all('set r2.use_odometry_covariance to false' in cure for cure in cures)
+
+    params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'], **{
+        'odometry_sigma': [0.15, 0.15, 0.08], 'r2.use_odometry_covariance': False})
+    status, found, _ = doctor(bag, '--params', params)
+
+    assert (status, found) == (0, [])
+
+
 def test_a_robot_that_is_not_in_the_bag_is_reported(doctor, tmp_path):
     params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r3'])
 

@@ -328,5 +328,6 @@ def test_odometry_that_claims_to_be_exact_is_named(variances, speed, is_fault):
 
     assert case.at(10 * S) == ([(WARN, (
         '/fleet/r2/odom has almost no variance of vx or wz in twist.covariance, so that'
-        ' observations hardly correct it: fill in vx, vy and wz, or leave them zero'))]
+        ' observations hardly correct it: fill in vx, vy and wz, leave them zero, or set'
+        ' r2.use_odometry_covariance to false'))]
         if is_fault else [])

@@ -92,6 +92,22 @@ def test_a_rejected_message_is_counted_by_its_reason_and_changes_nothing(message
     assert run.estimator.state_hash() == HASH
 
 
+def test_a_covariance_that_is_not_used_counts_as_unknown():
+    def hash_of(twist_covariance, options):
+        run = run_of(*(
+            odom(ms, (ms / 1e3, 0.0, 0.0), twist_covariance=twist_covariance)
+            for ms in range(0, 500, 100)), options=options)
+        assert run.estimator.used('r1') == 5
+        return run.estimator.state_hash()
+
+    reading = run_settings('r1')
+    r1, = reading.estimation.robots
+    ignoring = replace(reading, estimation=replace(
+        reading.estimation, robots=(replace(r1, use_odometry_covariance=False),)))
+
+    assert hash_of(INDEFINITE, ignoring) == hash_of(None, reading) != hash_of(np.eye(6), reading)
+
+
 @pytest.mark.parametrize(
     ('observation', 'reason'),
     [
