@@ -41,7 +41,8 @@ FITS = pytest.mark.parametrize('fit', [by_truth, by_landmarks])
 
 @FITS
 @pytest.mark.parametrize(('scale', 'bias'), [
-    ((0.95, 1.0), 0.0), ((1.0, 1.04), 0.0), ((1.0, 1.0), 0.01), ((1.06, 0.93), -0.02)])
+    ((0.95, 1.0), 0.0), ((1.0, 1.04), 0.0), ((1.0, 1.0), 0.01), ((1.06, 0.93), -0.02),
+    ((1.0, 0.55), 0.0)])
 def test_errors_are_those_of_the_simulation(fit, scale, bias):
     errors = fit(*run(scale, bias))
 
