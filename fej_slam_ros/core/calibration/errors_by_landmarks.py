@@ -116,7 +116,8 @@ def _by_instruments(
             break
     # The derivative of w r is w (I - r r' / cost) J.
     J = J - r[:, :, None] * (np.einsum('nj,njk->nk', r, J) / cost[:, None])[:, None]
-    return ErrorFit(x, np.einsum('nji,njk->ik', Zw, J) + prior, gradients, 1.0)
+    weights = np.abs(Zw * J).reshape(gradients.shape)
+    return ErrorFit(x, np.einsum('nji,njk->ik', Zw, J) + prior, gradients, weights, 1.0)
 
 
 def _differences(pairs: ObservationPairs, values: Array) -> Array:

@@ -64,6 +64,7 @@ def _least(residuals: Residuals, fixed: Array, free: Flags) -> ErrorFit:
         return np.append(residuals(errors), (values - none) / prior_sigma)
 
     x, gradients = fixed.copy(), np.zeros((len(residuals(fixed)), 3))
+    weights = np.zeros_like(gradients)
     information = np.diag(1.0 / np.square(LIMITS.prior_sigma))
     if free.any():
         limit = LIMITS.max_error[free]
@@ -73,8 +74,8 @@ def _least(residuals: Residuals, fixed: Array, free: Flags) -> ErrorFit:
         information[np.ix_(free, free)] = fit.jac.T @ fit.jac
         # SciPy scales J by (1 + r^2)^(-3/4), and the gradient of soft_l1 has (1 + r^2)^(-1/2).
         r, J = (rows[:len(gradients)] for rows in (fit.fun, fit.jac))
-        gradients[:, free] = (r * (1.0 + r ** 2) ** 0.25)[:, None] * J
-    return ErrorFit(x, information, gradients, scatter(residuals(x)))
+        gradients[:, free], weights[:, free] = (r * (1.0 + r ** 2) ** 0.25)[:, None] * J, J ** 2
+    return ErrorFit(x, information, gradients, weights, scatter(residuals(x)))
 
 
 def scatter(residuals: Array) -> float:

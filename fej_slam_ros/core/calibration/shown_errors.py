@@ -58,25 +58,37 @@ class ErrorFit:
     x: Array
     information: Array  #: (m, m) array about all of them, perhaps not symmetric
     gradients: Array  #: (k, m) array, of half the robust cost of each residual
+    weights: Array  #: (k, m) array, the information of each residual about each value
     scatter: float  #: standard deviation of the residuals
 
     def standard_errors(self, block: Indices) -> tuple[Array, Array]:
-        """Return those (m,) for independent pairs, and the larger ones that blocks show."""
+        """
+        Return those (m,) for independent pairs, and the larger ones that blocks show.
+
+        Where a robot stands still, its blocks have no information about the errors of driving:
+        the latter are huge where three blocks or fewer have nearly all of it.
+
+        """
         P = np.linalg.inv(self.information)
         of_independent = np.sqrt(np.abs(np.diag(P))) * self.scatter
-        of_blocks = np.sqrt(np.diag(P @ self._covariance(block) @ P.T))
+        gradients, weights = (
+            _of_blocks(values, block) for values in (self.gradients, self.weights))
+        # The mean is 0 but where an error is at its limit.
+        gradients -= gradients.mean(axis=0)
+        # As many blocks of equal information would have the same scatter.
+        squares = np.square(weights).sum(axis=0)
+        count = np.square(weights.sum(axis=0)) / np.where(squares > 0.0, squares, 1.0)
+        of_blocks = np.sqrt(
+            np.diag(P @ gradients.T @ gradients @ P.T) * count / np.maximum(count - 3.0, 1e-9))
         return of_independent, np.maximum(of_independent, of_blocks)
 
-    def _covariance(self, block: Indices) -> Array:
-        """Return the (m, m) covariance of the gradient for pairs that depend within blocks."""
-        m = len(self.x)
-        of_pairs = self.gradients.reshape(len(block), -1, m).sum(axis=1)
-        of_blocks = np.zeros((block.max() + 1, m))
-        np.add.at(of_blocks, block, of_pairs)
-        # The mean is 0 but where an error is at its limit.
-        of_blocks -= of_blocks.mean(axis=0)
-        count = len(of_blocks)
-        return of_blocks.T @ of_blocks * count / max(count - 3, 1)
+
+def _of_blocks(values: Array, block: Indices) -> Array:
+    """Return the sums (b, m) over the pairs of each block; values (k, m) are of the residuals."""
+    m = values.shape[1]
+    sums = np.zeros((block.max() + 1, m))
+    np.add.at(sums, block, values.reshape(len(block), -1, m).sum(axis=1))
+    return sums
 
 
 def blocks(stamps: Stamps) -> Indices:
