@@ -54,7 +54,7 @@ class RobotQueue:
         self._update_next_key()
 
     def accept(
-        self, record: Odometry | AnyScan, max_observations: int = sys.maxsize
+        self, record: Odometry | AnyScan, max_observations: int
     ) -> RejectionReason | None:
         """Insert a record by its stamp, or return the reason to reject it."""
         received = identity(record)
@@ -132,9 +132,7 @@ class RobotQueue:
         self._update_next_key()
         return [corrected(scan, self._settings) for scan in scans]
 
-    def take_surplus_scans(
-        self, most: int = MAX_QUEUED_SCANS, size: int = 0, rate: float = 0.0
-    ) -> list[AnyScan]:
+    def take_surplus_scans(self, most: int, size: int = 0, rate: float = 0.0) -> list[AnyScan]:
         """
         Remove and return the oldest waiting scans beyond the limits.
 

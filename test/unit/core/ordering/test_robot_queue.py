@@ -15,6 +15,8 @@ from fej_slam_ros.core.settings import RobotSettings
 from helpers.records import MS, odometry, Q, Q_TURNED, robot_scan, scan
 
 SIGMA = (0.2, 0.1, 0.4)
+#: A limit of scans, or of observations at one stamp, that is not reached.
+MANY = 1000
 
 ROUNDING = 1e-14
 
@@ -23,7 +25,7 @@ def queue_of(*records):
     """Return a queue of r1 with some records; gaps are longer than 1 s."""
     queue = RobotQueue(RobotSettings('r1', 1, odometry_sigma=SIGMA), longest_gap=1000 * MS)
     for record in records:
-        assert queue.accept(record) is None
+        assert queue.accept(record, MANY) is None
     return queue
 
 
@@ -138,7 +140,7 @@ def test_a_scan_waits_until_odometry_has_reached_it():
     queue = queue_of(odometry('r1', 0), scan('r1', 50))
     assert list(advanced(queue)) == [0]
 
-    queue.accept(odometry('r1', 50))
+    queue.accept(odometry('r1', 50), MANY)
 
     assert list(advanced(queue)) == [50]
 
@@ -160,7 +162,7 @@ def test_the_same_content_again_is_a_duplicate(record, used):
     if used:
         advanced(queue)
 
-    assert queue.accept(record) is RejectionReason.DUPLICATE
+    assert queue.accept(record, MANY) is RejectionReason.DUPLICATE
 
 
 @pytest.mark.parametrize('used', [False, True])
@@ -171,7 +173,7 @@ def test_other_odometry_at_the_same_stamp_is_conflicting(other, used):
     if used:
         advanced(queue)
 
-    assert queue.accept(other) is RejectionReason.CONFLICTING
+    assert queue.accept(other, MANY) is RejectionReason.CONFLICTING
 
 
 @pytest.mark.parametrize('record', [
@@ -180,7 +182,7 @@ def test_a_record_before_the_last_event_is_late(record):
     queue = queue_of(odometry('r1', 0), odometry('r1', 100))
     advanced(queue)
 
-    assert queue.accept(record) is RejectionReason.LATE
+    assert queue.accept(record, MANY) is RejectionReason.LATE
 
 
 def test_odometry_inside_an_increment_that_has_been_divided_is_late():
@@ -189,8 +191,8 @@ def test_odometry_inside_an_increment_that_has_been_divided_is_late():
         queue.take_scans(stamp)
         queue.advance(stamp)
 
-    assert queue.accept(odometry('r1', 60)) is RejectionReason.LATE
-    assert queue.accept(scan('r1', 60)) is None
+    assert queue.accept(odometry('r1', 60), MANY) is RejectionReason.LATE
+    assert queue.accept(scan('r1', 60), MANY) is None
 
 
 def test_two_scans_of_one_stamp_become_one_in_the_order_of_ids():
@@ -206,7 +208,7 @@ def test_observations_have_the_noise_scale_of_their_kind():
     queue = RobotQueue(
         RobotSettings('r1', 1, landmark_noise_scale=2.0, robot_noise_scale=3.0), 1000 * MS)
     for record in (scan('r1', 0, [(1, (1.0, 0.0))]), robot_scan('r1', 0, [('r2', (1.0, 0.0))])):
-        queue.accept(record)
+        queue.accept(record, MANY)
 
     variances = {type(s): s.observations[0].R[0, 0] for s in queue.take_scans(0)}
 
@@ -235,16 +237,16 @@ def test_the_oldest_scans_beyond_the_limit_of_observations_are_taken(monkeypatch
     monkeypatch.setattr(robot_queue, 'MAX_QUEUED_OBSERVATIONS', 10)
     queue = queue_of(*(crowd(ms, 4) for ms in (0, 1, 2, 3)))
 
-    assert [surplus.stamp for surplus in queue.take_surplus_scans()] == [0, MS]
-    assert queue.take_surplus_scans() == []
-    assert queue.accept(crowd(0, 4)) is None
+    assert [surplus.stamp for surplus in queue.take_surplus_scans(MANY)] == [0, MS]
+    assert queue.take_surplus_scans(MANY) == []
+    assert queue.accept(crowd(0, 4), MANY) is None
 
 
 def test_a_single_scan_may_be_above_the_limit_of_observations(monkeypatch):
     monkeypatch.setattr(robot_queue, 'MAX_QUEUED_OBSERVATIONS', 10)
     queue = queue_of(crowd(0, 4), crowd(1, 12))
 
-    assert [surplus.stamp for surplus in queue.take_surplus_scans()] == [0]
+    assert [surplus.stamp for surplus in queue.take_surplus_scans(MANY)] == [0]
     assert queue.waiting() == 1
 
 
