@@ -54,6 +54,12 @@ def output_folder(word: str) -> Path:
     return Path(word)
 
 
+def refuse_input_as_output(output: Path, bag: Path) -> None:
+    """Raise UsageError if an output bag is one that is read."""
+    if output.resolve() == bag.resolve():
+        raise UsageError(f'{output} is the bag to read: choose another output')
+
+
 def require_matplotlib(alternative: str = '') -> None:
     """Raise UserError if figures cannot be drawn, with the option by which none are."""
     if find_spec('matplotlib') is None:

@@ -6,10 +6,11 @@ import argparse
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
-from fej_slam_ros.cli.arguments import add_bag_and_parameters, add_storage, parameter_help
+from fej_slam_ros.cli.arguments import (
+    add_bag_and_parameters, add_storage, parameter_help, refuse_input_as_output)
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.parameter_kinds import Parameter
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session.front_end import FrontEnd, RobotCounts
 from fej_slam_ros.ros.session.outputs import Publication
@@ -42,7 +43,8 @@ def write_copy(
     """
     names = names_in(arguments, arguments.bag)
     topics = bags.topics(arguments.bag, names)
-    _check_output(arguments, front_end, topics)
+    refuse_input_as_output(arguments.output, arguments.bag)
+    _refuse_outputs(arguments.bag, front_end, topics)
     if found := unusable(topics):
         raise UserError(f'{arguments.bag} has {found}')
     with bags.BagWriter(arguments.output, arguments.storage, arguments.force) as bag:
@@ -63,9 +65,8 @@ def write_copy(
             raise UserError(
                 f'no message of {arguments.bag} could be used, so nothing is written: correct what'
                 ' the lines above name')
-    unknown = sorted({topic.type_name for topic in topics.values() if not topic.is_known})
-    if unknown:
-        print(f'not copied, of unknown types: {", ".join(unknown)}')
+    if unknown := bags.unknown_types(topics.values()):
+        print(unknown)
     print(f'wrote {arguments.output}')
 
 
@@ -78,16 +79,14 @@ def _table(counts: Sequence[RobotCounts]) -> str:
         [(name, *map(str, row)) for name, row in rows.items() if any(row)])
 
 
-def _check_output(
-    arguments: argparse.Namespace, front_end: FrontEnd, topics: Mapping[str, bags.BagTopic]
+def _refuse_outputs(
+    bag: Path, front_end: FrontEnd, topics: Mapping[str, bags.BagTopic]
 ) -> None:
-    """Raise UserError if the copy is the bag itself, or if the bag has landmarks already."""
-    if arguments.output.resolve() == arguments.bag.resolve():
-        raise UsageError(f'{arguments.output} is the bag to read: choose another output')
+    """Raise UserError if a bag has landmarks already."""
     present = [topic for topic in front_end.outputs if topic in topics and '/' in topic[1:]]
     if present:
         raise UserError(
-            f'{arguments.bag} has {", ".join(present)} already: give a bag without landmarks, or'
+            f'{bag} has {", ".join(present)} already: give a bag without landmarks, or'
             ' rename these topics with --remap')
 
 

@@ -13,14 +13,14 @@ from typing import Any, Generic, TypeVar
 
 from fej_slam_ros.atomic_files import refuse_existing, write_figure
 from fej_slam_ros.cli.arguments import (
-    add_bag_and_parameters, output_folder, require_matplotlib)
+    add_bag_and_parameters, output_folder, refuse_input_as_output, require_matplotlib)
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.errors import UsageError, UserError
+from fej_slam_ros.errors import UserError
 from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.ros.files import bags, run_results
 from fej_slam_ros.ros.files.topic_names import TopicNames
@@ -207,8 +207,8 @@ def _check(arguments: argparse.Namespace, output_bag: Path) -> None:
     """Raise an error if the picture cannot be drawn, or if the output bag is the input."""
     if arguments.picture:
         require_matplotlib('leave out --picture')
-    if arguments.write_bag and output_bag.resolve() == arguments.bag.resolve():
-        raise UsageError(f'{output_bag} is the bag to read: choose another output folder')
+    if arguments.write_bag:
+        refuse_input_as_output(output_bag, arguments.bag)
 
 
 def _renew_picture(folder: Path, is_wanted: bool) -> None:

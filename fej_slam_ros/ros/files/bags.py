@@ -80,6 +80,12 @@ def topics(path: Path, names: TopicNames = RECORDED_NAMES) -> dict[str, BagTopic
             for connection in reader.connections}
 
 
+def unknown_types(found: Iterable[BagTopic]) -> str:
+    """Return the line on the types of topics that cannot be copied, '' if there are none."""
+    names = sorted({topic.type_name for topic in found if not topic.is_known})
+    return f'not copied, of unknown types: {", ".join(names)}' if names else ''
+
+
 def read_with_bar(
     path: Path, names: TopicNames, found: Mapping[str, BagTopic]
 ) -> Iterable[RawMessage]:
