@@ -7,11 +7,9 @@ The definitions are those that the packages install for ROS 2 Jazzy, without the
 """
 
 import numpy as np
-from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_types_from_msg, get_typestore, Stores
+from rosbags.typesys import get_types_from_msg
 
-from fej_slam_ros.ros.messages import RawMessage
-from helpers.records import MS
+from helpers.ros import header, raw, TYPES
 
 DEFINITIONS = {
     'aruco_opencv_msgs/msg/MarkerPose': """
@@ -87,7 +85,6 @@ float64 sensor_std_pitch
 mrpt_msgs/SingleRangeBearingObservation[] sensed_data
 """}
 
-TYPES = get_typestore(Stores.ROS2_JAZZY)
 for name, text in DEFINITIONS.items():
     TYPES.register(get_types_from_msg(text, name))
 
@@ -109,18 +106,6 @@ def turned(w=1.0, z=0.0):
 def pose(position, orientation=None):
     orientation = orientation or turned()
     return make('geometry_msgs/Pose', position=point(*position), orientation=orientation)
-
-
-def header(ms, frame):
-    sec, nanosec = divmod(ms * MS, 10**9)
-    stamp = make('builtin_interfaces/Time', sec=sec, nanosec=nanosec)
-    return make('std_msgs/Header', stamp=stamp, frame_id=frame)
-
-
-def raw(topic, message, ms=0):
-    """Return a message as it arrives."""
-    name = message.__msgtype__
-    return RawMessage(topic, name, ms * MS, bytes(TYPES.serialize_cdr(message, name)))
 
 
 def april_tags(ms, frame, tags, topic='r1/tf'):
@@ -215,7 +200,7 @@ def joined(*messages):
     name = messages[0].type_name
     return raw(messages[0].topic, TYPES.types[name](transforms=[
         transform for message in messages
-        for transform in TYPES.deserialize_cdr(message.raw, name).transforms]))
+        for transform in TYPES.deserialize_cdr(message.raw, name).transforms]), 0)
 
 
 def marker_array(ms, frame, markers, deleted=()):
@@ -235,15 +220,3 @@ def marker_array(ms, frame, markers, deleted=()):
             uv_coordinates=[], text='', mesh_resource='', mesh_file=empty,
             mesh_use_embedded_materials=False)
         for (ns, id_), at in markers.items()]), ms)
-
-
-def write_bag(path, messages, types=TYPES):
-    """Write messages with the definitions of their packages as a bag."""
-    connections = {}
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        for message in messages:
-            key = f'/{message.topic}', message.type_name
-            if key not in connections:
-                connections[key] = writer.add_connection(*key, typestore=types)
-            writer.write(connections[key], message.received, message.raw)
-    return path

@@ -241,14 +241,14 @@ def refusal_of(convert, *arguments):
     return rejected.value.reason
 
 
-def write_bag(path, messages, storage='mcap'):
+def write_bag(path, messages, storage='mcap', types=TYPES):
     """Write messages as a bag, each of them logged when it was received."""
     connections = {}
     with Writer(path, version=9, storage_plugin=StoragePlugin[storage.upper()]) as writer:
         for m in messages:
             key = f'/{m.topic}', m.type_name
             if key not in connections:
-                connections[key] = writer.add_connection(*key, typestore=TYPES)
+                connections[key] = writer.add_connection(*key, typestore=types)
             writer.write(connections[key], m.received, m.raw)
     for file in path.glob('*.mcap'):
         checksums.add(file)

@@ -10,9 +10,11 @@ import pytest
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import RawMessage
 from helpers import foreign
 from helpers.ros import (
-    assert_one_sentence, odometry_message, raw, run_verb, summary_of, write_parameters)
+    assert_one_sentence, header, odometry_message, raw, run_verb, summary_of, write_bag,
+    write_parameters)
 
 TAGS = {'tag36h11:4': (2.0, 1.0, 0.3), 'tag36h11:5': (3.0, -1.0, 0.3)}
 
@@ -23,7 +25,7 @@ def recording(path, *more):
         message for ms in range(0, 1000, 100) for message in (
             raw('r1/odom', odometry_message(ms), ms),
             foreign.april_tags(ms, 'r1/base_link', TAGS, 'tf'))]
-    return foreign.write_bag(path / 'bag', [*messages, *more])
+    return write_bag(path / 'bag', [*messages, *more])
 
 
 def test_the_landmarks_of_the_copy_are_those_of_the_tags(tmp_path):
@@ -64,7 +66,7 @@ def test_messages_of_another_type_on_the_topic_of_a_format_are_named(tmp_path, c
 def test_static_transforms_are_not_taken_for_tags(tmp_path, capsys):
     settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'])
     mount = foreign.april_tags(0, 'r1/base_link', TAGS, 'tf_static')
-    bag = foreign.write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0), mount])
+    bag = write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0), mount])
 
     status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
 
@@ -109,7 +111,7 @@ def test_a_bag_without_the_messages_of_the_formats_is_refused(tmp_path, capsys):
 
 def test_messages_of_another_format_and_robot_are_named(tmp_path, capsys):
     settings = write_parameters(tmp_path / 'p.yaml', robots=['r2'], formats=['detection3d'])
-    bag = foreign.write_bag(tmp_path / 'bag', [
+    bag = write_bag(tmp_path / 'bag', [
         raw('r1/odom', odometry_message(0), 0),
         foreign.aruco(1000, 'r1/base_link', {7: (1.0, 2.0, 0.3)})])
 
@@ -122,7 +124,7 @@ def test_messages_of_another_format_and_robot_are_named(tmp_path, capsys):
 
 def test_a_bag_without_the_messages_of_any_format_is_refused(tmp_path, capsys):
     settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'])
-    bag = foreign.write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0)])
+    bag = write_bag(tmp_path / 'bag', [raw('r1/odom', odometry_message(0), 0)])
 
     status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
 
@@ -135,11 +137,11 @@ def test_messages_of_another_release_are_refused(tmp_path, capsys):
     types.register(get_types_from_msg(
         'std_msgs/Header header\nfloat64[] boxes\n', 'vision_msgs/msg/Detection3DArray'))
     kind = types.types['vision_msgs/msg/Detection3DArray']
-    message = kind(header=foreign.header(0, 'r1/base_link'), boxes=np.empty(0))
+    message = kind(header=header(0, 'r1/base_link'), boxes=np.empty(0))
     name = kind.__msgtype__
-    raw_message = foreign.RawMessage(
+    raw_message = RawMessage(
         'r1/detections', name, 0, bytes(types.serialize_cdr(message, name)))
-    bag = foreign.write_bag(tmp_path / 'bag', [raw_message], types)
+    bag = write_bag(tmp_path / 'bag', [raw_message], types=types)
     settings = write_parameters(tmp_path / 'p.yaml', robots=['r1'], formats=['detection3d'])
 
     status = run_verb('adapt', bag, '--params', settings, '--output', tmp_path / 'out')
