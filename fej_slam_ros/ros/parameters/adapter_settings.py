@@ -14,8 +14,7 @@ from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
 from fej_slam_ros.ros.parameters import schema
-from fej_slam_ros.ros.parameters.values import (
-    by_owner, given_values, robot_names, Warn, warn_once)
+from fej_slam_ros.ros.parameters.values import front_end_settings, Warn, warn_once
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed
 
 FORMAT_NAMES = Kind(
@@ -107,13 +106,8 @@ def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Paramete
 
 def parse_adapter(values: Mapping[str, object], warn: Warn = warn_once) -> AdapterSettings:
     """Return the settings that flat ROS parameters give."""
-    robots = robot_names(values.get('robots', []))
-    checked = given_values(
-        values, known_parameters(robots), warn, robots, schema.known_parameters(robots))
-    given = by_owner(checked, robots)
-    settings = AdapterSettings(
-        **given.pop(''),
-        of_robots={robot: SensedRobotSettings(**own) for robot, own in given.items()})
+    settings: AdapterSettings = front_end_settings(
+        values, AdapterSettings, SensedRobotSettings, warn)
     _check(settings)
     return settings
 

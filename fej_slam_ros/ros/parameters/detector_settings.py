@@ -16,8 +16,7 @@ from fej_slam_ros.detection.reflectors import ReflectorDetector
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.laser import MAX_DURATION
 from fej_slam_ros.ros.parameters import schema
-from fej_slam_ros.ros.parameters.values import (
-    by_owner, given_values, robot_names, Warn, warn_once)
+from fej_slam_ros.ros.parameters.values import front_end_settings, Warn, warn_once
 from fej_slam_ros.ros.parameters.yaml_files import load_parsed, load_values, warn_with_path
 
 RADIUS = numbers('a number', Range(0.001, 10.0))
@@ -101,13 +100,8 @@ def known_parameters(robots: Sequence[str] = ('<robot>',)) -> dict[str, Paramete
 
 def parse_detector(values: Mapping[str, object], warn: Warn = warn_once) -> DetectorSettings:
     """Return the settings that flat ROS parameters give."""
-    robots = robot_names(values.get('robots', []))
-    checked = given_values(
-        values, known_parameters(robots), warn, robots, schema.known_parameters(robots))
-    given = by_owner(checked, robots)
-    settings = DetectorSettings(
-        **given.pop(''),
-        of_robots={robot: LaserRobotSettings(**own) for robot, own in given.items()})
+    settings: DetectorSettings = front_end_settings(
+        values, DetectorSettings, LaserRobotSettings, warn)
     if settings.min_radius > settings.max_radius:
         raise UsageError(
             f'min_radius {settings.min_radius:g} is above max_radius {settings.max_radius:g}:'

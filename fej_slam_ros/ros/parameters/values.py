@@ -15,7 +15,8 @@ import numpy as np
 
 from fej_slam_ros.core.parameter_kinds import FLAG, Kind, MAX_NAME, Parameter, ROBOT_NAMES
 from fej_slam_ros.errors import UsageError
-from fej_slam_ros.ros.parameters.schema import QOS_OVERRIDES, QOS_POLICIES
+from fej_slam_ros.ros.parameters.schema import (
+    full_names, known_parameters, QOS_OVERRIDES, QOS_POLICIES)
 
 #: Names of topics and reports besides those of robots.
 RESERVED_NAMES = ('estimator', 'filter', 'ground_truth', 'landmarks', 'qos', 'smoother')
@@ -81,6 +82,18 @@ def given_values(
     checked = checked_values(_known_values(own, known, warn, robots), known)
     _warn_of_degrees(checked, known, warn)
     return checked
+
+
+def front_end_settings(
+    values: Mapping[str, object], team: type[Any], of_robot: type[Any], warn: Warn
+) -> Any:
+    """Return the settings of a front end, of a class for the team and one for each robot."""
+    robots = robot_names(values.get('robots', []))
+    checked = given_values(
+        values, full_names(team, of_robot, robots), warn, robots, known_parameters(robots))
+    given = by_owner(checked, robots)
+    return team(
+        **given.pop(''), of_robots={robot: of_robot(**own) for robot, own in given.items()})
 
 
 def by_owner(values: Mapping[str, Any], robots: Iterable[str]) -> dict[str, dict[str, Any]]:
