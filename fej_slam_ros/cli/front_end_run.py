@@ -3,7 +3,7 @@
 """Copies of bags with the landmarks that a front end adds."""
 
 import argparse
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from fej_slam_ros.cli.arguments import (
@@ -12,6 +12,7 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
+from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.session.front_end import FrontEnd, RobotCounts
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
@@ -48,19 +49,8 @@ def write_copy(
     if found := unusable(topics):
         raise UserError(f'{arguments.bag} has {found}')
     with bags.BagWriter(arguments.output, arguments.storage, arguments.force) as bag:
-        now = scans = 0
-        for message in bags.read_with_bar(arguments.bag, names, topics):
-            now = max(now, message.received or 0)
-            if topics[message.topic].is_known:
-                bag.copy(message, topics[message.topic].latched)
-            front_end.receive(message)
-            scans += _write(bag, now, front_end.take())
-        scans += _write(bag, now, front_end.close())
-        counts = [*front_end.counts()]
-        print(_table(counts))
-        for robot, warning, _ in counts:
-            if warning:
-                print(f'{robot}: {warning}')
+        scans = _copy(bags.read_with_bar(arguments.bag, names, topics), topics, front_end, bag)
+        print('\n'.join(_report([*front_end.counts()])))
         if not scans:
             raise UserError(
                 f'no message of {arguments.bag} could be used, so nothing is written: correct what'
@@ -70,13 +60,29 @@ def write_copy(
     print(f'wrote {arguments.output}')
 
 
-def _table(counts: Sequence[RobotCounts]) -> str:
-    """Return the counts that are not zero for all robots, a column for each robot."""
+def _copy(
+    messages: Iterable[RawMessage], topics: Mapping[str, bags.BagTopic], front_end: FrontEnd,
+    bag: bags.BagWriter,
+) -> int:
+    """Write messages, and what a front end makes of them; return its number of scans."""
+    now = scans = 0
+    for message in messages:
+        now = max(now, message.received or 0)
+        if topics[message.topic].is_known:
+            bag.copy(message, topics[message.topic].latched)
+        front_end.receive(message)
+        scans += _write(bag, now, front_end.take())
+    return scans + _write(bag, now, front_end.close())
+
+
+def _report(counts: Sequence[RobotCounts]) -> Iterator[str]:
+    """Yield the counts that are not zero for all robots, one in a column, and the warnings."""
     names = dict.fromkeys(name for _, _, values in counts for name in values)
     rows = {name: [values.get(name, 0) for _, _, values in counts] for name in names}
-    return text_table(
+    yield text_table(
         ('', *(robot for robot, _, _ in counts)),
         [(name, *map(str, row)) for name, row in rows.items() if any(row)])
+    yield from (f'{robot}: {warning}' for robot, warning, _ in counts if warning)
 
 
 def _refuse_outputs(

@@ -154,28 +154,33 @@ def _report(
             f'map begins where {settings.anchor} starts, which has no true pose in its first'
             ' five minutes, and is not in the frame of any ground truth')
     for robot in ROBOT_SUBJECTS:
-        if robot not in data.logs:
+        if robot in data.logs:
+            yield from _robot_report(data.logs[robot], options, rejected[robot])
+        else:
             yield (
                 f'{robot_name(robot)} is left out: Robot{robot}_Odometry.dat is missing, or has no'
                 ' two valid rows')
             yield from _counted(data.incomplete[robot])
-            continue
-        log = data.logs[robot]
-        used = len(log.observations) - rejected[robot].total()
-        true = len(conversion.truth(log, options))
-        steps = np.diff(log.commands.stamps) / NS
+
+
+def _robot_report(
+    log: RobotLog, options: ConversionOptions, rejected: Counter[str]
+) -> Iterator[str]:
+    used = len(log.observations) - rejected.total()
+    true = len(conversion.truth(log, options))
+    steps = np.diff(log.commands.stamps) / NS
+    yield (
+        f'{robot_name(log.robot)}: odometry: {len(log.commands)} (gaps above {REPORTED_GAP:g} s:'
+        f' {(steps > REPORTED_GAP).sum()}, longest {steps.max():.1f} s),'
+        f' observations: {used}, true poses: {true} of {len(log.truth)}')
+    share = steps[steps > MAX_COMMAND_HOLD / NS].sum() / steps.sum()
+    if share > REPORTED_UNKNOWN_SHARE:
         yield (
-            f'{robot_name(robot)}: odometry: {len(log.commands)} (gaps above {REPORTED_GAP:g} s:'
-            f' {(steps > REPORTED_GAP).sum()}, longest {steps.max():.1f} s),'
-            f' observations: {used}, true poses: {true} of {len(log.truth)}')
-        share = steps[steps > MAX_COMMAND_HOLD / NS].sum() / steps.sum()
-        if share > REPORTED_UNKNOWN_SHARE:
-            yield (
-                f'    for {share:.0%} of the time the last command is older than'
-                f' {MAX_COMMAND_HOLD / NS:g} s, and the motion unknown: repeat commands that were'
-                ' recorded on change only')
-        yield from _lost_decimals(log)
-        yield from _counted(log.counts + rejected[robot])
+            f'    for {share:.0%} of the time the last command is older than'
+            f' {MAX_COMMAND_HOLD / NS:g} s, and the motion unknown: repeat commands that were'
+            ' recorded on change only')
+    yield from _lost_decimals(log)
+    yield from _counted(log.counts + rejected)
 
 
 def _lost_decimals(log: RobotLog) -> Iterator[str]:
