@@ -3,6 +3,7 @@
 """Scans of posts, walls and people, and the scores of a detector over a drive among them."""
 
 from dataclasses import dataclass, field
+from itertools import islice
 
 import numpy as np
 
@@ -92,22 +93,27 @@ def detect_in_world(world_settings, lidar, seed, scans):
     """Return the scores of the first scans of a world, by the detectors of its robots."""
     rng = np.random.default_rng(seed)
     world, scores = make_laser_world(world_settings, rng), Scores()
+    detected = (
+        (record.robot, *scan) for record, found in with_detections(world, lidar, rng)
+        for scan in found)
+    for detections in islice(detected, scans):
+        scores.add(world, *detections)
+    return scores
+
+
+def with_detections(world, lidar, rng):
+    """Yield the measurements in a world, each with the scans that it completes and their posts."""
     detectors = {
         name: Detector(PostDetector(range_sigma=lidar.range_sigma), min_beams=3, static_time=0.8)
         for name in world.robots}
     for record in measure(world, lidar, rng):
+        found = []
         if isinstance(record, Odometry):
             detectors[record.robot].add_odometry(record)
+            found = [*detectors[record.robot].take()]
         elif isinstance(record, RobotLaserScan):
             detectors[record.robot].add_scan(StampedScan(record.stamp, record.scan, np.zeros(3)))
-        else:
-            continue
-        for scan, found in detectors[record.robot].take():
-            scores.add(world, record.robot, scan, found)
-            scans -= 1
-            if scans == 0:
-                return scores
-    return scores
+        yield record, found
 
 
 @dataclass
@@ -124,21 +130,13 @@ def estimate_in_world(world, lidar, rng, with_ids=False):
     estimator = Estimator(Settings(
         robots=tuple(RobotSettings(name, k) for k, name in enumerate(world.robots, start=1)),
         anchor=world.robots[0]))
-    detectors = {
-        name: Detector(PostDetector(range_sigma=lidar.range_sigma), min_beams=3, static_time=0.8)
-        for name in world.robots}
 
     def records():
-        for record in measure(world, lidar, rng):
-            if isinstance(record, RobotLaserScan):
-                detectors[record.robot].add_scan(
-                    StampedScan(record.stamp, record.scan, np.zeros(3)))
-            elif not isinstance(record, TrueLandmarks):
+        for record, found in with_detections(world, lidar, rng):
+            if not isinstance(record, (RobotLaserScan, TrueLandmarks)):
                 yield record
-            if isinstance(record, Odometry):
-                detectors[record.robot].add_odometry(record)
-                for scan, found in detectors[record.robot].take():
-                    yield _observed(world, record.robot, scan.end, found, with_ids)
+            for scan, detections in found:
+                yield _observed(world, record.robot, scan.end, detections, with_ids)
 
     for _ in estimator.run(records()):
         pass
