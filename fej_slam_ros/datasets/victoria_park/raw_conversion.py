@@ -20,8 +20,9 @@ from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.motion_models import arc_poses, polar
 from fej_slam_ros.core.records import GpsFix, NS, Observation, Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.datasets.series import Series
 from fej_slam_ros.datasets.victoria_park import gps
-from fej_slam_ros.datasets.victoria_park.raw_log import MS, RawLog, Wheels
+from fej_slam_ros.datasets.victoria_park.raw_log import MS, RawLog
 from fej_slam_ros.errors import UserError
 
 #: Wheel base of the car, and distance of the encoder wheel to the left of the axle's middle [m].
@@ -74,13 +75,13 @@ def drives(log: RawLog, robots: int) -> dict[str, CarDrive]:
         for robot, scans in RAW_TEAMS[robots].items()}
 
 
-def dead_reckoning(wheels: Wheels) -> Array:
+def dead_reckoning(wheels: Series) -> Array:
     """Return the poses (n, 3) by speed and steering, on an arc from stamp to stamp."""
     _, lengths, turns = _arcs(wheels)
     return arc_poses(lengths, turns)
 
 
-def twist_covariances(wheels: Wheels) -> Array:
+def twist_covariances(wheels: Series) -> Array:
     """Return the covariance (n - 1, 3, 3) of the mean velocity from each stamp to the next."""
     dt, d, theta = _arcs(wheels)
     variances = (
@@ -125,11 +126,12 @@ def _drive(log: RawLog) -> CarDrive:
     return CarDrive(log, poses, gps.start_pose(log.fixes, antenna, is_outlier), is_outlier)
 
 
-def _arcs(wheels: Wheels) -> tuple[Array, Array, Array]:
+def _arcs(wheels: Series) -> tuple[Array, Array, Array]:
     """Return the durations [s], lengths [m] and turns [rad] from each stamp to the next."""
     dt = np.diff(wheels.stamps) / NS
-    turn = np.tan(wheels.steering[:-1])
-    d = wheels.speed[:-1] / (1.0 - turn * ENCODER_OFFSET / WHEEL_BASE) * dt
+    speed, steering = wheels.rows[:-1].T
+    turn = np.tan(steering)
+    d = speed / (1.0 - turn * ENCODER_OFFSET / WHEEL_BASE) * dt
     return dt, d, d * turn / WHEEL_BASE
 
 

@@ -39,21 +39,6 @@ ID_VARIABLE = 'data_sensor_clean_clean'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Wheels:
-    """Stamps (n,) [ns], and from each on the speed of the encoder wheel [m/s] and the steering."""
-
-    stamps: Integers
-    speed: Array
-    steering: Array
-
-    def between(self, first: int, last: int) -> 'Wheels':
-        """Return the rows that cover the time between two stamps [ns]."""
-        a = max(np.searchsorted(self.stamps, first, side='right') - 1, 0)
-        b = np.searchsorted(self.stamps, last) + 1
-        return Wheels(self.stamps[a:b], self.speed[a:b], self.steering[a:b])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class TreeScans:
     """Tree detections by scan."""
 
@@ -79,20 +64,22 @@ class TreeScans:
 class RawLog:
     """All measurements of the car, on one clock."""
 
-    wheels: Wheels
+    wheels: Series  #: from each stamp on, speed of the encoder wheel [m/s] and steering [rad]
     trees: TreeScans
     fixes: Series  #: antenna positions by GPS (g, 2), east and north [m]
 
     def between(self, first: int, last: int) -> 'RawLog':
-        """Return the log from one stamp to another [ns]."""
+        """Return the log from one stamp to another [ns], with the wheels of all this time."""
+        begin = max(np.searchsorted(self.wheels.stamps, first, side='right') - 1, 0)
+        end = np.searchsorted(self.wheels.stamps, last) + 1
         return RawLog(
-            self.wheels.between(first, last), self.trees.between(first, last),
+            self.wheels[begin:end], self.trees.between(first, last),
             self.fixes.between(first, last))
 
     def shifted(self, offset: int) -> 'RawLog':
         """Return the log with an offset added to all stamps [ns]."""
         return RawLog(
-            replace(self.wheels, stamps=self.wheels.stamps + offset),
+            self.wheels.shifted(offset),
             replace(self.trees, stamps=self.trees.stamps + offset),
             self.fixes.shifted(offset))
 
@@ -136,13 +123,13 @@ def _matched(trees: TreeScans, stamp: int, measured: Array) -> Integers:
     return matched
 
 
-def wheels(time: Array, speed: Array, steering: Array) -> Wheels:
+def wheels(time: Array, speed: Array, steering: Array) -> Series:
     """Return rows of times [ms], speeds [m/s] and steering angles [rad], checked."""
     if (np.abs(steering) > MAX_STEERING).any():
         raise UserError(f'the steering exceeds {MAX_STEERING:g} rad')
     if (np.abs(speed) > MAX_SPEED).any():
         raise UserError(f'the speed exceeds {MAX_SPEED:g} m/s')
-    return Wheels(increasing_stamps(time), speed, steering)
+    return Series(increasing_stamps(time), np.column_stack([speed, steering]))
 
 
 def fixes(time: Array, east: Array, north: Array) -> Series:

@@ -11,10 +11,11 @@ import pytest
 
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.records import GpsFix, NS, Odometry, Scan
+from fej_slam_ros.datasets.series import Series
 from fej_slam_ros.datasets.victoria_park import associated_log, raw_conversion
 from fej_slam_ros.datasets.victoria_park.raw_conversion import (
     dead_reckoning, drives, records, settings, twist_covariances)
-from fej_slam_ros.datasets.victoria_park.raw_log import read, Wheels
+from fej_slam_ros.datasets.victoria_park.raw_log import read
 from fej_slam_ros.errors import UserError
 
 L, H = 2.83, 0.76
@@ -22,7 +23,7 @@ L, H = 2.83, 0.76
 
 def wheels(speed, steering, step=0.025):
     stamps = np.rint(np.arange(len(speed)) * step * NS).astype(np.int64)
-    return Wheels(stamps, np.array(speed, dtype=float), np.array(steering, dtype=float))
+    return Series(stamps, np.column_stack([speed, steering]).astype(float))
 
 
 def records_of(log, kind, robots=1):

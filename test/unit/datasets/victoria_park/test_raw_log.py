@@ -25,7 +25,7 @@ def test_the_log_holds_the_values_of_the_files(raw_park):
     log = read(raw_park())
 
     assert log.wheels.stamps[:2].tolist() == [1_000_000_000, 1_025_000_000]
-    assert (log.wheels.speed[0], log.wheels.steering[0]) == (5.0, 0.0)
+    assert log.wheels.rows[0].tolist() == [5.0, 0.0]
     assert log.trees.stamps[-1] == 13_000_000_000
     assert log.trees.starts[:3].tolist() == [0, 2, 4]
     assert log.trees.ranges[:2].tolist() == [10.0, 20.0]

@@ -29,7 +29,7 @@ def text_park(raw_park, tmp_path):
     wheels, trees, fixes = log.wheels, log.trees, log.fixes
     of_detections = np.repeat(trees.stamps, np.diff(trees.starts))
     for name, text in {
-        'inputs.dat': lines(wheels.stamps // 10**6, wheels.speed, wheels.steering, digits=4),
+        'inputs.dat': lines(wheels.stamps // 10**6, *wheels.rows.T, digits=4),
         'measurements.dat': lines(
             of_detections // 10**6, trees.ranges, trees.bearings, 0.3 * trees.ranges, digits=5),
         'gps.dat': lines(fixes.stamps // 10**6, *fixes.rows.T, digits=9),
