@@ -160,16 +160,17 @@ class Filter:
         The residual r is always taken at the current estimate, the Jacobian H at the points of the
         policy. S = L L^T, and K appears in factored form, K = W L^-1. If the gate rejects or
         inflates any observation, the update starts again with the accepted ones; r and the prior
-        are unchanged, so these pass and the recursion ends. Iterations correct the same prior,
+        are unchanged, so these pass and the recursion ends. It also starts again, with all, where
+        the policy has renewed points that were too far off. Iterations correct the same prior,
         whose covariance is updated once, by the last H.
 
         """
         if not observations:
             return NO_INNOVATION
-        stack, state = stacked(observations), self.state
+        stack, state, policy = stacked(observations), self.state, self.linearization
         try:
             self.submap.ensure_contains(
-                state, stack.columns, self.linearization.turns_points, may_end=True)
+                state, stack.columns, policy.turns_points, may_end=True)
         except EndedError:
             return NO_INNOVATION._replace(interrupted=observations)
 
@@ -178,6 +179,8 @@ class Filter:
         update = joint_update(state.covariance, H, stack.R)      # 3. S = H P H^T + R
         gated = self.gate.apply(                                 # 4. gate each by S_ii
             observations, r, update.own(), partial(self._curved_distances, r, stack.R, H))
+        if not gated.is_linear() and policy.renew_points(state, stack.columns):
+            return self.update(observations)                     # 1. to 4. at the new points
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
         innovation, S = r.ravel(), update.S

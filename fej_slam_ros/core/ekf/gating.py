@@ -76,6 +76,10 @@ class GateResult(NamedTuple):
     inflated: Sequence[GatedObservation] = ()
     iterations: int = 1  #: least number of Gauss-Newton iterations of the update
 
+    def is_linear(self) -> bool:
+        """Return whether all observations passed as they are, by linear errors."""
+        return not self.rejected and not self.inflated and self.iterations == 1
+
 
 @dataclass(slots=True)
 class ScanGateStatistics:

@@ -1,0 +1,114 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""First estimates that are far from a map corrected by metres are renewed, and reveal nothing."""
+
+import numpy as np
+from numpy.testing import assert_allclose, assert_array_equal
+import pytest
+
+from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.gating import Association, Gate
+from fej_slam_ros.core.ekf.linearization import FirstEstimates, MAX_MOVED, Standard
+from fej_slam_ros.core.ekf.observability import (
+    linearized_rigid_motions, record_observability)
+from fej_slam_ros.core.ekf.state import JointState, observation_columns
+from fej_slam_ros.core.records import Observation
+
+#: Offset of a landmark from a robot at the origin, and of its first estimate from its estimate.
+OFFSET, MOVED = np.array([1.0, -1.4]), np.array([2.0, 2.8])
+SIGMA, HEADING_SIGMA = 0.03, 0.1
+
+
+def team(moved, policy=FirstEstimates):
+    """
+    Return a filter of two robots, and two landmarks that r2 has mapped.
+
+    The estimate of the first landmark has moved since, with no more information.
+
+    """
+    state = JointState()
+    for name, pose, sigma in (
+            ('r1', np.zeros(3), HEADING_SIGMA), ('r2', np.array([4.0, 3.0, 2.0]), 0.05)):
+        state.insert_robot(name, 0, pose, np.diag([0.05, 0.05, sigma]) ** 2)
+    robot = state.robots['r2']
+    for id_, first in (1, OFFSET + moved), (2, np.array([2.0, 4.0])):
+        x, y = first - state.pose(robot)[:2]
+        state.augment(
+            ('', id_), robot, first, np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]),
+            0.05 ** 2 * np.eye(2))
+    state.x_hat[state.landmarks['', 1].slot.indices] -= moved
+    return Filter(state, policy(), Gate(0.999))
+
+
+def observed(filter_, heading_error, id_=1):
+    """Return the observation of a landmark by r1, whose true heading is off."""
+    state = filter_.state
+    robot, landmark = state.robots['r1'], state.landmarks['', id_]
+    c, s = np.cos(heading_error), np.sin(heading_error)
+    z = np.array([[c, s], [-s, c]]) @ state.estimate(landmark)
+    return [Association(robot, landmark, Observation(id_, z, SIGMA ** 2 * np.eye(2)))]
+
+
+def columns(filter_):
+    state = filter_.state
+    return observation_columns([state.robots['r1']] * 2, [*state.landmarks.values()])
+
+
+def rotation(x):
+    """Return the derivative (n,) of a joint estimate x (n,) by a turn about the origin."""
+    poses, points = x[:6].reshape(2, 3), x[6:].reshape(-1, 2)
+    return np.concatenate([
+        np.column_stack([-poses[:, 1], poses[:, 0], np.ones(2)]).ravel(),
+        np.column_stack([-points[:, 1], points[:, 0]]).ravel()])
+
+
+def test_renewal_does_not_change_the_information_about_a_rotation_of_everything():
+    filter_ = team(MOVED)
+    state = filter_.state
+    u, P = rotation(state.x_first), state.marginal(state.variables())
+    before = u @ np.linalg.solve(P, u)
+
+    assert filter_.linearization.renew_points(state, columns(filter_))
+
+    u, P = rotation(state.x_first), state.marginal(state.variables())
+    # The conditions of P, 1e4, lose four of 16 digits.
+    assert_allclose(u @ np.linalg.solve(P, u), before, rtol=1e-10)
+    assert_array_equal(state.x_first, state.x_hat)
+
+
+def test_a_rotation_of_everything_stays_unobservable_across_a_renewal():
+    filter_ = team(MOVED)
+    recorder, motions = record_observability(filter_), linearized_rigid_motions(filter_)
+
+    for id_ in 1, 2, 1, 2:
+        filter_.update(observed(filter_, 3.0 * HEADING_SIGMA, id_))
+
+    assert_allclose(filter_.state.x_first[6:8], OFFSET, atol=1e-9)
+    M = np.vstack(recorder.rows)
+    assert len(M) == 8
+    # Products of numbers up to 5.
+    assert_allclose(M @ motions, 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize('moved', [[2.0, 2.8], [-1.5, 1.8], [0.5, 2.5]])
+def test_the_update_is_that_at_the_estimate_whatever_the_first_estimate_was(moved):
+    filter_, standard = team(np.array(moved)), team(np.zeros(2), Standard)
+
+    for each in filter_, standard:
+        each.update(observed(each, 3.5 * HEADING_SIGMA))
+
+    state, expected = filter_.state, standard.state
+    assert expected.pose(expected.robots['r1'])[2] > 2.0 * HEADING_SIGMA
+    assert_allclose(state.x_hat, expected.x_hat, rtol=1e-12)
+    assert_allclose(
+        state.marginal(state.variables()), expected.marginal(expected.variables()),
+        rtol=1e-10, atol=1e-15)
+
+
+def test_first_estimates_nearby_or_that_explain_what_is_observed_stay():
+    near, explained = team(0.9 * MAX_MOVED * OFFSET), team(MOVED)
+
+    assert not near.linearization.renew_points(near.state, columns(near))
+    explained.update(observed(explained, 0.0))
+
+    assert_allclose(explained.state.x_first[6:8], OFFSET + MOVED)
