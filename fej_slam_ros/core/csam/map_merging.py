@@ -26,8 +26,7 @@ from fej_slam_ros.core.csam.rendezvous import (
     RobotPair)
 from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.csam.shared_landmarks import (
-    align_by_landmarks, aligned_but_for_scale, contradicting_landmarks,
-    cure_of_contradiction, LandmarkAlignment, variance_factor)
+    LandmarkAlignment, SharedLandmarks, variance_factor)
 from fej_slam_ros.core.csam.slips import explained_loops, MIN_PER_LINK, ReleasedOdometry
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
@@ -201,13 +200,14 @@ class _MapMerger:
         One that most of those attempted between the maps contradict does not join them.
 
         """
-        aligned = align_by_landmarks(p, q, self._rules.min_shared)
+        shared = SharedLandmarks(p, q, self._rules.min_shared)
+        aligned = shared.align()
         if isinstance(aligned, JoinFailure):
             joined = aligned if not rendezvous.measurements else (
                 self._aligner.contradiction(p, q, rendezvous, attempted)
                 or self._joined_by_rendezvous(p, q, rendezvous))
         else:
-            joined = self._joined_by_landmarks(p, q, aligned)
+            joined = self._joined_by_landmarks(shared, aligned)
         if isinstance(joined, JoinFailure):
             return joined
         self.groups = [joined if g is p else g for g in self.groups if g is not q]
@@ -219,7 +219,7 @@ class _MapMerger:
         return None
 
     def _joined_by_landmarks(
-        self, p: JointMap, q: JointMap, aligned: LandmarkAlignment
+        self, shared: SharedLandmarks, aligned: LandmarkAlignment
     ) -> JointMap | JoinFailure:
         """
         Return the joined maps.
@@ -228,35 +228,37 @@ class _MapMerger:
         with fewer observations of them.
 
         """
-        joined = self._joined_in_any_scale(p, q, aligned)
+        joined = self._joined_in_any_scale(shared, aligned)
         if not isinstance(joined, JoinFailure):
             return joined
-        d2 = contradicting_landmarks(p, q, self._rules)
+        d2 = shared.contradicting(self._rules)
         if not d2:
             return joined
-        by_p, by_q = (_observations_of(part, d2) for part in (p, q))
+        by_p, by_q = (_observations_of(part, d2) for part in (shared.p, shared.q))
         of_p = {key: d2[key] for key in d2 if by_p[key] < by_q[key]}
         of_q = {key: d2[key] for key in d2 if key not in of_p}
         limit = self._rules.landmark_limit()
-        p, outliers_p = without_landmarks(p, of_p, limit)
-        q, outliers_q = without_landmarks(q, of_q, limit)
-        without = align_by_landmarks(p, q, self._rules.min_shared)
-        if isinstance(without, JoinFailure):
+        p, outliers_p = without_landmarks(shared.p, of_p, limit)
+        q, outliers_q = without_landmarks(shared.q, of_q, limit)
+        others = SharedLandmarks(p, q, self._rules.min_shared)
+        aligned_by_others = others.align()
+        if isinstance(aligned_by_others, JoinFailure):
             return joined
-        again = self._joined_in_any_scale(p, q, without)
+        again = self._joined_in_any_scale(others, aligned_by_others)
         if not isinstance(again, JoinFailure):
             for robot, outliers in (outliers_p | outliers_q).items():
                 self.landmark_outliers[robot] += outliers
         return again
 
     def _joined_in_any_scale(
-        self, p: JointMap, q: JointMap, aligned: LandmarkAlignment
+        self, shared: SharedLandmarks, aligned: LandmarkAlignment
     ) -> JointMap | JoinFailure:
         """Return the joined maps, also if they contradict each other in their scale."""
+        p, q = shared.p, shared.q
         joined = self._joined(p, q, aligned.base_node)
         if not isinstance(joined, JoinFailure):
             return joined
-        scaled = aligned_but_for_scale(p, q, self._rules)
+        scaled = shared.align_but_for_scale(self._rules)
         if scaled is None:
             return joined
         try:
@@ -292,7 +294,8 @@ class _MapMerger:
         if failure is None:
             return joint
         # Wrong observations of robots leave no trace in the landmarks.
-        cure = '' if measurements else cure_of_contradiction(p, q)
+        cure = '' if measurements else SharedLandmarks(
+            p, q, self._rules.min_shared).cure_of_contradiction()
         return replace(failure, reason=failure.reason + cure)
 
 

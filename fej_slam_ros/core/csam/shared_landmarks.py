@@ -50,55 +50,141 @@ class LandmarkAlignment(NamedTuple):
     scale: float  #: lengths in the first map, divided by those in the second
 
 
-def align_by_landmarks(
-    p: JointMap, q: JointMap, min_shared: int, without: Collection[LandmarkKey] = (),
-    *, with_scale: bool = False,
-) -> LandmarkAlignment | JoinFailure:
+class SharedLandmarks:
     """
-    Return the base node that aligns the landmarks with a common key, but for some of them.
+    The landmarks of two maps that have a common key.
 
-    The scale is 1, or the one that aligns them best.
-
-    """
-    index_p, index_q = p.landmark_index(), q.landmark_index()
-    shared = sorted((index_p.keys() & index_q.keys()).difference(without))
-    if len(shared) < min_shared:
-        return JoinFailure(f'{len(shared)} shared landmarks, {min_shared} are needed')
-    in_p, in_q = [index_p[key] for key in shared], [index_q[key] for key in shared]
-    P_p, P_q = p.information().joint(points=in_p), q.information().joint(points=in_q)
-    points_p, points_q = p.values.points[in_p], q.values.points[in_q]
-    # Traces do not depend on the frame of either P.
-    weights = 2.0 / np.diag(P_p + P_q).reshape(-1, 2).sum(axis=1)
-    spread = points_q - np.average(points_q, axis=0, weights=weights)
-    with np.errstate(divide='ignore'):  # it is infinite if all are at one place
-        heading_sigma = 1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1))
-    if heading_sigma > MAX_ALIGNMENT_SIGMA:
-        return JoinFailure(
-            f'cannot align: the heading sigma by {len(shared)} shared landmarks is'
-            f' {heading_sigma:.2f} rad, {MAX_ALIGNMENT_SIGMA} is needed')
-    base_node, scale = rigid_fit(points_q, points_p, weights), 1.0
-    unknowns = 4 if with_scale else 3
-    for _ in range(ALIGNMENT_STEPS):
-        chi_square, step = _step(
-            base_node, points_p, scale * points_q, P_p, scale ** 2 * P_q, unknowns)
-        base_node = base_node + step[:3]
-        scale *= float(np.exp(step[3:].sum()))
-        if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
-            return JoinFailure(f'cannot align: the scales differ by more than {MAX_SCALE:g}')
-    return LandmarkAlignment(base_node, chi_square, 2 * len(shared) - unknowns, scale)
-
-
-def aligned_but_for_scale(
-    p: JointMap, q: JointMap, rules: JoinRules
-) -> LandmarkAlignment | None:
-    """
-    Return the alignment of maps that contradict each other in nothing but a small scale.
-
-    Systematic errors of ranges, or of odometry, make a map a few per cent too large or too small
-    all over, by far more than its covariance.
+    Parameters
+    ----------
+    p, q : the maps
+    min_shared : smallest number of landmarks that aligns them
 
     """
-    return _consistent(align_by_landmarks(p, q, rules.min_shared, with_scale=True), rules)
+
+    def __init__(self, p: JointMap, q: JointMap, min_shared: int) -> None:
+        index_p, index_q = p.landmark_index(), q.landmark_index()
+        self.p, self.q, self._min_shared = p, q, min_shared
+        self._keys = sorted(index_p.keys() & index_q.keys())
+        self._in_p, self._in_q = (
+            np.array([index[key] for key in self._keys], np.intp) for index in (index_p, index_q))
+        self._points_p, self._points_q = p.values.points[self._in_p], q.values.points[self._in_q]
+
+    def align(
+        self, without: Collection[LandmarkKey] = (), *, with_scale: bool = False
+    ) -> LandmarkAlignment | JoinFailure:
+        """
+        Return the base node that aligns the landmarks, but for some of them.
+
+        The scale is 1, or the one that aligns them best.
+
+        """
+        kept = [k for k, key in enumerate(self._keys) if key not in without]
+        if len(kept) < self._min_shared:
+            return JoinFailure(f'{len(kept)} shared landmarks, {self._min_shared} are needed')
+        P_p = self.p.information().joint(points=self._in_p[kept].tolist())
+        P_q = self.q.information().joint(points=self._in_q[kept].tolist())
+        points_p, points_q = self._points_p[kept], self._points_q[kept]
+        # Traces do not depend on the frame of either P.
+        weights = 2.0 / np.diag(P_p + P_q).reshape(-1, 2).sum(axis=1)
+        heading_sigma = _heading_sigma(points_q, weights)
+        if heading_sigma > MAX_ALIGNMENT_SIGMA:
+            return JoinFailure(
+                f'cannot align: the heading sigma by {len(kept)} shared landmarks is'
+                f' {heading_sigma:.2f} rad, {MAX_ALIGNMENT_SIGMA} is needed')
+        base_node, scale = rigid_fit(points_q, points_p, weights), 1.0
+        unknowns = 4 if with_scale else 3
+        for _ in range(ALIGNMENT_STEPS):
+            chi_square, step = _step(
+                base_node, points_p, scale * points_q, P_p, scale ** 2 * P_q, unknowns)
+            base_node = base_node + step[:3]
+            scale *= float(np.exp(step[3:].sum()))
+            if not 1.0 / MAX_SCALE < scale < MAX_SCALE:
+                return JoinFailure(f'cannot align: the scales differ by more than {MAX_SCALE:g}')
+        return LandmarkAlignment(base_node, chi_square, 2 * len(kept) - unknowns, scale)
+
+    def align_but_for_scale(self, rules: JoinRules) -> LandmarkAlignment | None:
+        """
+        Return the alignment of maps that contradict each other in nothing but a small scale.
+
+        Systematic errors of ranges, or of odometry, make a map a few per cent too large or too
+        small all over, by far more than its covariance.
+
+        """
+        return _consistent(self.align(with_scale=True), rules)
+
+    def align_by_consistent(self) -> LandmarkAlignment | JoinFailure:
+        """Return the alignment by the landmarks that do not contradict the others."""
+        farthest = self._farthest()
+        others = self.align(farthest)
+        if not farthest:
+            return others
+        factor = 1.0 if isinstance(others, JoinFailure) else max(
+            1.0, others.chi_square / others.dof)
+        rules = JoinRules(self._min_shared, variance_factor=factor)
+        return self.align(self._contradicting(farthest, others, rules))
+
+    def contradicting(self, rules: JoinRules) -> dict[LandmarkKey, float]:
+        """
+        Return the d2 of the landmarks that contradict the others.
+
+        The result is empty if they are too many, if the others do not fit, or if many of them
+        agree on another place.
+
+        """
+        farthest = self._farthest()
+        return self._contradicting(farthest, self.align(farthest), rules)
+
+    def cure_of_contradiction(self) -> str:
+        """Return how to join maps that contradict each other a little all over, else ''."""
+        points_p, points_q = self._points_p, self._points_q
+        moved = transform(rigid_fit(points_q, points_p, np.ones(len(points_p))), points_q)
+        distance, spread = (
+            float(np.sqrt(np.square(d).sum(axis=1).mean()))
+            for d in (points_p - moved, points_p - points_p.mean(axis=0)))
+        if distance > MAX_SYSTEMATIC * spread:
+            return ''
+        return (
+            f'; the shared landmarks are {distance:.2f} m apart: if the sensors are no better than'
+            ' this, join_probability 1.0 joins the maps')
+
+    def _contradicting(
+        self, farthest: Sequence[LandmarkKey], aligned: LandmarkAlignment | JoinFailure,
+        rules: JoinRules,
+    ) -> dict[LandmarkKey, float]:
+        """Return `contradicting` among the farthest ones, given the alignment by the others."""
+        others = _consistent(aligned, rules)
+        if not farthest or others is None:
+            return {}
+        found = {
+            key: d2 for key, d2 in self._squared_distances(farthest, others).items()
+            if d2 > rules.landmark_limit()}
+        if len(found) <= MAX_OUTLYING * len(self._keys):
+            return found
+        # So many that agree among themselves may as well be right, and the others have moved.
+        rival = self.align([key for key in self._keys if key not in found])
+        return found if _consistent(rival, rules) is None else {}
+
+    def _squared_distances(
+        self, farthest: Sequence[LandmarkKey], others: LandmarkAlignment
+    ) -> dict[LandmarkKey, float]:
+        """
+        Return the increase of chi-square by each of the farthest landmarks, if it aligns the maps.
+
+        All landmarks of a map share the errors of its robots: what matters is the distance from
+        where the others predict a landmark.
+
+        """
+        with_one = {
+            key: self.align([other for other in farthest if other != key]) for key in farthest}
+        return {
+            key: aligned.chi_square - others.chi_square for key, aligned in with_one.items()
+            if isinstance(aligned, LandmarkAlignment)}
+
+    def _farthest(self) -> list[LandmarkKey]:
+        """Return the landmarks that fit the others least."""
+        count = len(self._keys)
+        most = max(int(MAX_OUTLYING * count), min(int(MAX_MOVING * count), count - MIN_AGREEING))
+        return [self._keys[k] for k in farthest_points(self._points_p, self._points_q, most)]
 
 
 def _consistent(
@@ -110,77 +196,11 @@ def _consistent(
     return aligned
 
 
-def cure_of_contradiction(p: JointMap, q: JointMap) -> str:
-    """Return how to join maps that contradict each other a little all over, '' for other maps."""
-    points_p, points_q = _shared_points(p, q)[1:]
-    weights = np.ones(len(points_p))
-    moved = transform(rigid_fit(points_q, points_p, weights), points_q)
-    distance, spread = (
-        float(np.sqrt(np.square(d).sum(axis=1).mean()))
-        for d in (points_p - moved, points_p - points_p.mean(axis=0)))
-    if distance > MAX_SYSTEMATIC * spread:
-        return ''
-    return (
-        f'; the shared landmarks are {distance:.2f} m apart: if the sensors are no better than'
-        ' this, join_probability 1.0 joins the maps')
-
-
-def contradicting_landmarks(
-    p: JointMap, q: JointMap, rules: JoinRules
-) -> dict[LandmarkKey, float]:
-    """
-    Return the d2 of the shared landmarks that contradict the others.
-
-    The result is empty if they are too many, if the others do not fit, or if many of them agree on
-    another place.
-
-    """
-    return _contradicting(p, q, *_aligned_without_farthest(p, q, rules.min_shared), rules)
-
-
-def _contradicting(
-    p: JointMap, q: JointMap, farthest: Sequence[LandmarkKey],
-    aligned: LandmarkAlignment | JoinFailure, rules: JoinRules,
-) -> dict[LandmarkKey, float]:
-    """Return `contradicting_landmarks` among the farthest ones, given the alignment by others."""
-    others = _consistent(aligned, rules)
-    if not farthest or others is None:
-        return {}
-    shared = p.landmark_index().keys() & q.landmark_index().keys()
-    # All landmarks of a map share the errors of its robots: what matters is the distance from
-    # where the others predict a landmark.
-    d2 = {}
-    for key in farthest:
-        with_it = align_by_landmarks(
-            p, q, rules.min_shared, [other for other in farthest if other != key])
-        if isinstance(with_it, LandmarkAlignment):
-            d2[key] = with_it.chi_square - others.chi_square
-    found = {key: distance for key, distance in d2.items() if distance > rules.landmark_limit()}
-    if len(found) <= MAX_OUTLYING * len(shared):
-        return found
-    # So many that agree among themselves may as well be right, and the others have moved.
-    rival = align_by_landmarks(p, q, rules.min_shared, shared - found.keys())
-    return found if _consistent(rival, rules) is None else {}
-
-
-def _aligned_without_farthest(
-    p: JointMap, q: JointMap, min_shared: int
-) -> tuple[list[LandmarkKey], LandmarkAlignment | JoinFailure]:
-    """Return the shared landmarks that fit the others least, and the alignment by the others."""
-    shared, points_p, points_q = _shared_points(p, q)
-    count = len(shared)
-    most = max(int(MAX_OUTLYING * count), min(int(MAX_MOVING * count), count - MIN_AGREEING))
-    farthest = [shared[k] for k in farthest_points(points_p, points_q, most)]
-    return farthest, align_by_landmarks(p, q, min_shared, farthest)
-
-
-def _shared_points(p: JointMap, q: JointMap) -> tuple[list[LandmarkKey], Array, Array]:
-    """Return the keys of the shared landmarks (l), and their points (l, 2) in both maps."""
-    index_p, index_q = p.landmark_index(), q.landmark_index()
-    shared = sorted(index_p.keys() & index_q.keys())
-    return (
-        shared, p.values.points[[index_p[key] for key in shared]],
-        q.values.points[[index_q[key] for key in shared]])
+def _heading_sigma(points: Array, weights: Array) -> float:
+    """Return the standard deviation [rad] of the heading that points (l, 2) determine."""
+    spread = points - np.average(points, axis=0, weights=weights)
+    with np.errstate(divide='ignore'):  # it is infinite if all are at one place
+        return float(1.0 / np.sqrt(weights @ np.square(spread).sum(axis=1)))
 
 
 def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
@@ -196,8 +216,8 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
     if len(maps) < MIN_MAP_PAIRS:
         return 1.0
     aligned = (
-        (pair, _consistent_alignment(maps[pair[0]], maps[pair[1]], min_shared))
-        for pair in _pairs(len(maps)))
+        ((i, k), SharedLandmarks(maps[i], maps[k], min_shared).align_by_consistent())
+        for i, k in _pairs(len(maps)))
     found = [*islice(
         ((pair, alignment) for pair, alignment in aligned
          if isinstance(alignment, LandmarkAlignment)), MAX_MAP_PAIRS)]
@@ -209,19 +229,6 @@ def variance_factor(maps: Sequence[JointMap], min_shared: int) -> float:
             factors[k].append(alignment.chi_square / alignment.dof)
     # With three robots, a wrong map is in two of three pairs, but only its own robot has no other.
     return max(1.0, median_low(map(median_low, factors.values())))
-
-
-def _consistent_alignment(
-    p: JointMap, q: JointMap, min_shared: int
-) -> LandmarkAlignment | JoinFailure:
-    """Return the alignment of two maps by the landmarks that do not contradict the others."""
-    farthest, others = _aligned_without_farthest(p, q, min_shared)
-    if not farthest:
-        return others
-    factor = 1.0 if isinstance(others, JoinFailure) else max(1.0, others.chi_square / others.dof)
-    rules = JoinRules(min_shared, variance_factor=factor)
-    return align_by_landmarks(
-        p, q, min_shared, _contradicting(p, q, farthest, others, rules))
 
 
 def _pairs(count: int) -> Iterator[tuple[int, int]]:

@@ -10,7 +10,7 @@ import pytest
 
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.maps import JointMap, merged
-from fej_slam_ros.core.csam.shared_landmarks import align_by_landmarks, variance_factor
+from fej_slam_ros.core.csam.shared_landmarks import SharedLandmarks, variance_factor
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
@@ -27,7 +27,7 @@ def maps(seed, robots=3, noise=1.0, landmarks=6):
 def test_the_alignment_is_that_of_the_joint_minimum():
     _, (p, q, _) = maps(1)
 
-    aligned = align_by_landmarks(p, q, 3)
+    aligned = SharedLandmarks(p, q, 3).align()
     joint = merged(p, q, aligned.base_node).solved()
 
     # Chi-square of a linear problem; the curvature of these maps changes it by a few percent.
@@ -39,9 +39,9 @@ def test_the_alignment_is_that_of_the_joint_minimum():
 def test_the_frame_of_a_map_changes_its_base_node_only():
     team, (p, q, _) = maps(1)
     frame = np.array([3.0, -4.0, 2.0])
-    expected = align_by_landmarks(p, q, 3)
+    expected = SharedLandmarks(p, q, 3).align()
 
-    aligned = align_by_landmarks(p, JointMap.of(in_another_frame(team.maps[1], frame)), 3)
+    aligned = SharedLandmarks(p, JointMap.of(in_another_frame(team.maps[1], frame)), 3).align()
 
     assert aligned.chi_square == pytest.approx(expected.chi_square, rel=1e-6)
     assert_allclose(compose(aligned.base_node, frame), expected.base_node, atol=1e-6)
@@ -50,7 +50,7 @@ def test_the_frame_of_a_map_changes_its_base_node_only():
 def test_exact_maps_are_aligned_exactly():
     team, (p, q, _) = maps(2, noise=0.0)
 
-    aligned = align_by_landmarks(p, q, 3)
+    aligned = SharedLandmarks(p, q, 3).align()
 
     assert_allclose(aligned.base_node, true_base_node(team, 'r1', 'r2'), atol=1e-6)
     assert aligned.chi_square == pytest.approx(0.0, abs=1e-6)
@@ -59,8 +59,8 @@ def test_exact_maps_are_aligned_exactly():
 def test_too_few_landmarks_do_not_align_maps():
     _, (p, q, _) = maps(3)
 
-    failure = align_by_landmarks(p, replace(q, landmarks=q.landmarks[:2] + tuple(
-        (('other', k),) for k in range(len(q.landmarks) - 2))), 3)
+    others = tuple((('other', k),) for k in range(len(q.landmarks) - 2))
+    failure = SharedLandmarks(p, replace(q, landmarks=q.landmarks[:2] + others), 3).align()
 
     assert isinstance(failure, JoinFailure)
     assert failure.reason == '2 shared landmarks, 3 are needed'
@@ -71,7 +71,7 @@ def test_landmarks_at_one_place_do_not_align_maps():
     _, (p, q, _) = maps(3)
     at_one_place = Values(q.values.poses, np.ones_like(q.values.points))
 
-    failure = align_by_landmarks(p, replace(q, values=at_one_place), 3)
+    failure = SharedLandmarks(p, replace(q, values=at_one_place), 3).align()
 
     assert 'shared landmarks is inf rad' in failure.reason
 
