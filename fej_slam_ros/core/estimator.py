@@ -18,8 +18,7 @@ from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, 
 from fej_slam_ros.core.data_association.wrong_landmarks import (
     MOVED_LANDMARKS, note_accepted, remove_contradicted, remove_started)
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
-from fej_slam_ros.core.ekf.gating import (
-    Association, gated_robots, GatedObservation, suspected_robots)
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
 from fej_slam_ros.core.ekf.pose_inflation import inflate_poses
 from fej_slam_ros.core.ekf.relative_pose import relative_pose
@@ -316,13 +315,12 @@ class Estimator(TeamInput):
             group.state, innovation, scan_statistics,
             self.innovations.lost_robots.may_have_slipped)
         note_accepted(innovation, scan_statistics)
-        suspected = suspected_robots(scan_statistics)
         for started in (
-            *remove_started(group.state, gated_robots(scan_statistics), stamp),
-            *remove_contradicted(group.state, innovation, suspected),
+            *remove_started(group.state, scan_statistics, stamp),
+            *remove_contradicted(group.state, innovation, scan_statistics),
         ):
             self.statistics.reject_observation(started)
-        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, suspected)
+        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scan_statistics)
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
         for gated in innovation.rejected:

@@ -7,7 +7,7 @@ A landmark that a lost robot has started is not trusted before a scan that other
 confirm observes it. One that fails the gate again and again, among others that pass, was moved.
 """
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
@@ -37,7 +37,9 @@ def note_accepted(innovation: Innovation, statistics: StatisticsByRobot) -> None
                 a.observed.last_accepted, a.observed.moved_evidence = a.observer.stamp, None
 
 
-def remove_started(state: JointState, suspected: Collection[str], stamp: int) -> list[Rejection]:
+def remove_started(
+    state: JointState, statistics: StatisticsByRobot, stamp: int
+) -> list[Rejection]:
     """
     Remove landmarks that wrong scans started; return the observations of them as rejected.
 
@@ -45,9 +47,10 @@ def remove_started(state: JointState, suspected: Collection[str], stamp: int) ->
     They are not trusted, for they were never observed together with landmarks that are.
 
     """
+    gated = {robot for robot, scan in statistics.items() if scan.mostly_gated()}
     started = [
         landmark for landmark in state.landmarks.values()
-        if landmark.owner in suspected and landmark.created == stamp] if suspected else []
+        if landmark.owner in gated and landmark.created == stamp] if gated else []
     state.remove_all(started)
     return [
         Rejection(landmark.owner, stamp, RejectionReason.LOST_ROBOT, id=landmark.key[1])
@@ -55,7 +58,7 @@ def remove_started(state: JointState, suspected: Collection[str], stamp: int) ->
 
 
 def remove_contradicted(
-    state: JointState, innovation: Innovation, suspected: Collection[str]
+    state: JointState, innovation: Innovation, statistics: StatisticsByRobot
 ) -> list[Rejection]:
     """
     Remove landmarks whose second observation contradicts the first; return that as rejected.
@@ -67,7 +70,7 @@ def remove_contradicted(
     for gated in innovation.rejected:
         observer, observed, _ = gated.association
         if (isinstance(observed, Landmark) and not observed.is_reobserved
-                and gated.contradicts() and observer.name not in suspected
+                and gated.contradicts() and not statistics[observer.name].mostly_failed()
                 and observed.key in state.landmarks):
             contradicted[observed.key] = observed
     state.remove_all([*contradicted.values()])
@@ -83,15 +86,20 @@ def remove_untrusted(state: JointState, robot: str) -> None:
         if landmark.owner == robot and not landmark.is_trusted])
 
 
-def ignore_moved(state: JointState, innovation: Innovation, suspected: Collection[str]) -> None:
+def ignore_moved(
+    state: JointState, innovation: Innovation, statistics: StatisticsByRobot
+) -> None:
     """Do not look for moved landmarks."""
 
 
-def report_moved(state: JointState, innovation: Innovation, suspected: Collection[str]) -> None:
+def report_moved(
+    state: JointState, innovation: Innovation, statistics: StatisticsByRobot
+) -> None:
     """Collect evidence for each landmark that fails the gate among others that pass."""
     if not innovation.rejected:
         return
-    passed = _landmark_pairs(a for a in innovation.used if a.observer.name not in suspected)
+    passed = _landmark_pairs(
+        a for a in innovation.used if not statistics[a.observer.name].mostly_failed())
     rejected = _landmark_pairs(gated.association for gated in innovation.rejected)
     contradicting = _landmark_pairs(
         gated.association for gated in innovation.rejected if gated.contradicts())
@@ -101,9 +109,11 @@ def report_moved(state: JointState, innovation: Innovation, suspected: Collectio
             landmark.moved_evidence.add(robot.name, state.pose(robot)[:2])
 
 
-def forget_moved(state: JointState, innovation: Innovation, suspected: Collection[str]) -> None:
+def forget_moved(
+    state: JointState, innovation: Innovation, statistics: StatisticsByRobot
+) -> None:
     """Remove moved landmarks, so that the next observation starts them at their new position."""
-    report_moved(state, innovation, suspected)
+    report_moved(state, innovation, statistics)
     moved = {
         landmark.key: landmark
         for _, landmark in _landmark_pairs(gated.association for gated in innovation.rejected)
@@ -112,7 +122,7 @@ def forget_moved(state: JointState, innovation: Innovation, suspected: Collectio
 
 
 #: The values of parameter `moved_landmarks`.
-MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation, Collection[str]], None]] = {
+MOVED_LANDMARKS: Mapping[str, Callable[[JointState, Innovation, StatisticsByRobot], None]] = {
     'report': report_moved, 'forget': forget_moved, 'ignore': ignore_moved}
 
 

@@ -154,16 +154,6 @@ def scan_gate_statistics(
     return dict(statistics)
 
 
-def suspected_robots(statistics: StatisticsByRobot) -> list[str]:
-    """Return the robots whose scans mostly failed."""
-    return [name for name, scan in statistics.items() if scan.mostly_failed()]
-
-
-def gated_robots(statistics: StatisticsByRobot) -> list[str]:
-    """Return the robots most of whose scans failed the gate."""
-    return [name for name, scan in statistics.items() if scan.mostly_gated()]
-
-
 class Gate:
     """
     A chi-square gate on each observation by itself.
@@ -217,7 +207,8 @@ class Gate:
         failed, gated = (
             (d2 > limit).tolist()
             for limit in (max(self.threshold, CONTRADICTION_D2), self.threshold))
-        suspected = self._suspected(scan_gate_statistics(zip(observations, failed, gated)))
+        statistics = scan_gate_statistics(zip(observations, failed, gated))
+        suspected = [name for name, scan in statistics.items() if self._is_suspected(scan)]
         observations, used = self._selected(observations, r, S, passed, suspected)
         results = [
             GatedObservation(a, float(distance), self.threshold)
@@ -235,9 +226,9 @@ class Gate:
         """Return the observations and which of them to use, given the suspected robots."""
         return observations, passed & ~_involve(suspected, observations)
 
-    def _suspected(self, statistics: StatisticsByRobot) -> list[str]:
-        """Return the robots whose scans are not used as they are."""
-        return suspected_robots(statistics)
+    def _is_suspected(self, scan: ScanGateStatistics) -> bool:
+        """Return whether a scan is not used as it is."""
+        return scan.mostly_failed()
 
 
 class InflatingGate(Gate):
@@ -270,9 +261,9 @@ class InflatingGate(Gate):
         d2 = squared_distances(r, S + (scale - 1.0) * R)
         return inflated, passed | (d2 <= self.threshold)
 
-    def _suspected(self, statistics: StatisticsByRobot) -> list[str]:
-        """Return the robots whose scans of three known landmarks or more mostly fail the gate."""
-        return [name for name in gated_robots(statistics) if statistics[name].is_conclusive()]
+    def _is_suspected(self, scan: ScanGateStatistics) -> bool:
+        """Return whether a scan of three known landmarks or more mostly fails the gate."""
+        return scan.is_conclusive() and scan.mostly_gated()
 
 
 def _involve(robots: Container[str], observations: Sequence[Association]) -> Flags:

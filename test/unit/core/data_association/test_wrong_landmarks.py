@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from fej_slam_ros.core.data_association.wrong_landmarks import (
     note_accepted, remove_started, remove_untrusted, report_moved)
 from fej_slam_ros.core.ekf.filter import Innovation
-from fej_slam_ros.core.ekf.gating import Association, GatedObservation, suspected_robots
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.estimator import Estimator
@@ -149,7 +149,7 @@ def is_doubted(others, d2=50.0):
     gated = [GatedObservation(a, d2, 13.8) for a in seen if a not in used]
 
     innovation = Innovation(used, np.zeros(2 * len(used)), gated, ())
-    report_moved(state, innovation, suspected_robots(innovation.scan_gate_statistics()))
+    report_moved(state, innovation, innovation.scan_gate_statistics())
 
     return seen[0].observed.moved_evidence is not None
 
@@ -206,7 +206,7 @@ def see(state, stamp, robot, landmarks, failed=()):
         [GatedObservation(a, 50.0, 13.8) for a in associations if a.observed in failed])
     statistics = innovation.scan_gate_statistics()
     note_accepted(innovation, statistics)
-    remove_started(state, suspected_robots(statistics), stamp)
+    remove_started(state, statistics, stamp)
 
 
 def test_landmarks_are_trusted_once_trusted_ones_confirm_a_scan_of_them():
