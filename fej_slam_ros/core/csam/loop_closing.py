@@ -86,15 +86,14 @@ def _without_gross_outliers(
     factors, limit = used.problem.rendezvous, GROSS_FACTOR * rules.limit(2)
     information = closed.joint.information([*factors.pose, *factors.target])
     for loop, r, R, HPH in _residuals(used, information, loops):
-        own = loop.measurements
-        d2 = squared_distances(r.reshape(-1, 2), own_blocks(R + HPH))
-        kept = without_few_outliers(own, (d2 > limit).tolist())
+        is_outlier = squared_distances(r.reshape(-1, 2), own_blocks(R + HPH)) > limit
+        kept = without_few_outliers(loop.measurements, is_outlier.tolist())
         if kept is None:
             closed.failed.append((loop, JoinFailure(
-                f'inconsistent ({(d2 > limit).sum()} of {len(own)} observations contradict the'
-                ' map)')))
+                f'inconsistent ({is_outlier.sum()} of {len(is_outlier)} observations contradict'
+                ' the map)')))
             continue
-        if len(kept) < len(own):
+        if len(kept) < len(is_outlier):
             closed.outliers.append(outlier_report(loop, len(kept)))
         yield loop._replace(measurements=kept)
 

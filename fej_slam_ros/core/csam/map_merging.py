@@ -10,7 +10,7 @@ Joined robots then act as one map, so that any number of robots can be joined.
 """
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -112,8 +112,7 @@ class _MapMerger:
         failed: list[Failed] = []
         loops: list[Rendezvous] = []
         for rendezvous in attempted:
-            p, *others = (
-                g for g in self.groups if not set(rendezvous.robots).isdisjoint(g.robots))
+            p, *others = self._groups_of(rendezvous)
             if not others:
                 loops.append(rendezvous)
             elif failure := self._join(p, others[0], rendezvous, attempted, loops):
@@ -139,9 +138,7 @@ class _MapMerger:
         for k in range(len(self.groups)):
             while True:
                 group = self.groups[k]
-                own = [
-                    loop for loop, _ in left
-                    if loop.measurements and {*loop.robots} <= {*group.robots}]
+                own = _within(group, [loop for loop, _ in left])
                 explained = explained_loops(group, own, self._rules)
                 if explained is None:
                     break
@@ -158,8 +155,7 @@ class _MapMerger:
 
     def _joined_with_slip(self, rendezvous: Rendezvous, failure: JoinFailure) -> bool:
         """Join maps by half of a rendezvous if a slip explains why the other half fails."""
-        p, *others = (
-            g for g in self.groups if not set(rendezvous.robots).isdisjoint(g.robots))
+        p, *others = self._groups_of(rendezvous)
         measurements = rendezvous.measurements
         if not others or len(measurements) < 2 * MIN_PER_LINK:
             return False
@@ -180,15 +176,17 @@ class _MapMerger:
     def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:
         failed: list[Failed] = []
         for k, group in enumerate(self.groups):
-            own = [
-                loop for loop in loops if loop.measurements and loop.robots[0] in group.robots]
-            closed = close_loops(group, own, self._rules)
+            closed = close_loops(group, _within(group, loops), self._rules)
             if closed.joint is not group:
                 self._aligner.forget(group)
             self.groups[k] = closed.joint
             self.outliers += closed.outliers
             failed += closed.failed
         return failed
+
+    def _groups_of(self, rendezvous: Rendezvous) -> list[JointMap]:
+        """Return the one or two groups that the robots of a rendezvous are in."""
+        return [g for g in self.groups if not set(rendezvous.robots).isdisjoint(g.robots)]
 
     def _join(
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous],
@@ -297,6 +295,13 @@ class _MapMerger:
         cure = '' if measurements else SharedLandmarks(
             p, q, self._rules.min_shared).cure_of_contradiction()
         return replace(failure, reason=failure.reason + cure)
+
+
+def _within(group: JointMap, attempted: Iterable[Rendezvous]) -> list[Rendezvous]:
+    """Return the rendezvous with observations between robots of one map."""
+    return [
+        rendezvous for rendezvous in attempted
+        if rendezvous.measurements and {*rendezvous.robots} <= {*group.robots}]
 
 
 def _observations_of(joint: JointMap, keys: Mapping[LandmarkKey, float]) -> Counter[LandmarkKey]:
