@@ -64,7 +64,8 @@ NO_ALGEBRA = 'numpy.dot numpy.einsum numpy.linalg numpy.matmul operator.matmul s
 RULES = {
     'core/ordering/': in_core('ordering'),
     # The kernel is chosen once, at import, by an environment variable.
-    'core/ekf/kernel.py': Rule(BASIC, NO_SIDE_EFFECTS.replace(' os ', ' ')),
+    'core/ekf/kernel.py': Rule(
+        f'{BASIC} fej_slam_ros.core.ekf', NO_SIDE_EFFECTS.replace(' os ', ' ')),
     'core/ekf/': in_core('ekf'),
     'core/joining/': in_core('joining', 'ekf'),
     'core/data_association/': in_core('data_association', 'ekf'),
