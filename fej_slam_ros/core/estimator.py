@@ -15,8 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
-from fej_slam_ros.core.data_association.wrong_landmarks import (
-    MOVED_LANDMARKS, note_accepted, remove_contradicted, remove_started)
+from fej_slam_ros.core.data_association.wrong_landmarks import review_landmarks
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
 from fej_slam_ros.core.ekf.gating import Association, GatedObservation
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
@@ -243,12 +242,7 @@ class Estimator(TeamInput):
         # All count as used; a rejection of a single one subtracts it again.
         for scan in scans:
             self.statistics.observations_used[scan.robot] += len(scan.observations)
-        observers = [scan.robot for scan in step.scans]
-        for restart in self._quarantine.restart_lost, self._quarantine.restart_unjoined:
-            restart(observers, step.stamp, self.settings.join_min_landmarks)
-        self._quarantine.restart_ambiguous(observers, step.stamp)
-        self._quarantine.restart_contradicted(
-            [s.observed for scan in step.robot_scans for s in scan.observations], step.stamp)
+        self._quarantine.restart_lost(step, self.settings.join_min_landmarks)
         self._joiner.join(lost_robots.on_probation())
         lost_robots.mark_found(self.groups.team.robots)
         self.truth.keep_rendezvous_points(
@@ -314,13 +308,9 @@ class Estimator(TeamInput):
         inflate_poses(
             group.state, innovation, scan_statistics,
             self.innovations.lost_robots.may_have_slipped)
-        note_accepted(innovation, scan_statistics)
-        for started in (
-            *remove_started(group.state, scan_statistics, stamp),
-            *remove_contradicted(group.state, innovation, scan_statistics),
-        ):
+        for started in review_landmarks(
+                group.state, innovation, scan_statistics, stamp, self.settings.moved_landmarks):
             self.statistics.reject_observation(started)
-        MOVED_LANDMARKS[self.settings.moved_landmarks](group.state, innovation, scan_statistics)
         for inflated in innovation.inflated:
             self.statistics.observations_inflated[inflated.association.observer.name] += 1
         for gated in innovation.rejected:

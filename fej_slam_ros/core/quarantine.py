@@ -71,50 +71,14 @@ class Quarantine:
                         if reason:
                             self._restart(robot, step.stamp, reason)
 
-    def restart_lost(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
-        """Restart the lost ones of some robots if they can join again by landmarks."""
-        for robot in filter(self._lost_robots.must_restart, robots):
-            state = self._groups.of(robot).state
-            remove_untrusted(state, robot)
-            if _count_with_ids(state) >= min_landmarks or can_be_found(state):
-                reason = f'likely lost, {self._lost_robots.reason(robot)}'
-                self._lost_robots.restart(robot)
-                self._restart(robot, stamp, reason)
-
-    def restart_unjoined(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
-        """Restart lost robots whose own maps share enough landmarks to join, and do not fit."""
-        team = self._groups.team.state.landmarks
-        for robot in filter(self._lost_robots.remains_unjoined, robots):
-            shared = team.keys() & self._groups.of(robot).state.landmarks.keys()
-            if len(shared) >= min_landmarks:
-                self._lost_robots.restart(robot)
-                self._restart(
-                    robot, stamp, f'its own map has {len(shared)} landmarks of the team and does'
-                    ' not fit')
-
-    def restart_contradicted(self, robots: Iterable[str], stamp: int) -> None:
-        """Restart robots that others, whose landmarks confirm their poses, observe elsewhere."""
-        for robot in robots:
-            observations = self._lost_robots.by_others.count(robot)
-            if observations:
-                remove_untrusted(self._groups.of(robot).state, robot)
-                self._restart(
-                    robot, stamp,
-                    f'{observations} observations of it in a row contradict its pose')
-
-    def restart_ambiguous(self, robots: Iterable[str], stamp: int) -> None:
-        """
-        Restart robots whose observations without ID fit several places, if they can join again.
-
-        None of these observations can be used in this frame. In a frame of its own a robot can map
-        with them, and that map is compared as a whole.
-
-        """
-        for robot in robots:
-            observations = self._lost_robots.ambiguous(robot)
-            if observations and can_be_found(self._groups.of(robot).state):
-                self._restart(
-                    robot, stamp, f'{observations} observations in a row fit several landmarks')
+    def restart_lost(self, step: Step, min_landmarks: int) -> None:
+        """Restart robots that the scans up to a step, its own included, show to be lost."""
+        observers = [scan.robot for scan in step.scans]
+        observed = [s.observed for scan in step.robot_scans for s in scan.observations]
+        self._restart_failing(observers, step.stamp, min_landmarks)
+        self._restart_unjoined(observers, step.stamp, min_landmarks)
+        self._restart_ambiguous(observers, step.stamp)
+        self._restart_contradicted(observed, step.stamp)
 
     def restrict_suspected(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
         """
@@ -155,6 +119,51 @@ class Quarantine:
                 self._reject(observer, step.stamp, self._groups.robots[observed].id, observed)
             else:
                 yield association
+
+    def _restart_failing(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
+        """Restart robots whose scans mostly failed, if they can join again by landmarks."""
+        for robot in filter(self._lost_robots.must_restart, robots):
+            state = self._groups.of(robot).state
+            remove_untrusted(state, robot)
+            if _count_with_ids(state) >= min_landmarks or can_be_found(state):
+                reason = f'likely lost, {self._lost_robots.reason(robot)}'
+                self._lost_robots.restart(robot)
+                self._restart(robot, stamp, reason)
+
+    def _restart_unjoined(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
+        """Restart lost robots whose own maps share enough landmarks to join, and do not fit."""
+        team = self._groups.team.state.landmarks
+        for robot in filter(self._lost_robots.remains_unjoined, robots):
+            shared = team.keys() & self._groups.of(robot).state.landmarks.keys()
+            if len(shared) >= min_landmarks:
+                self._lost_robots.restart(robot)
+                self._restart(
+                    robot, stamp, f'its own map has {len(shared)} landmarks of the team and does'
+                    ' not fit')
+
+    def _restart_contradicted(self, robots: Iterable[str], stamp: int) -> None:
+        """Restart robots that others, whose landmarks confirm their poses, observe elsewhere."""
+        for robot in robots:
+            observations = self._lost_robots.by_others.count(robot)
+            if observations:
+                remove_untrusted(self._groups.of(robot).state, robot)
+                self._restart(
+                    robot, stamp,
+                    f'{observations} observations of it in a row contradict its pose')
+
+    def _restart_ambiguous(self, robots: Iterable[str], stamp: int) -> None:
+        """
+        Restart robots whose observations without ID fit several places, if they can join again.
+
+        None of these observations can be used in this frame. In a frame of its own a robot can map
+        with them, and that map is compared as a whole.
+
+        """
+        for robot in robots:
+            observations = self._lost_robots.ambiguous(robot)
+            if observations and can_be_found(self._groups.of(robot).state):
+                self._restart(
+                    robot, stamp, f'{observations} observations in a row fit several landmarks')
 
     def _restart(self, robot: str, stamp: int, reason: str) -> None:
         self._lost_robots.forget_scans(robot)

@@ -16,6 +16,7 @@ import numpy as np
 from fej_slam_ros.core.data_association.constellations import (
     count_without_id, MIN_MATCHES, renamed, shared_landmarks)
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
+from fej_slam_ros.core.data_association.wrong_landmarks import rejected_start
 from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -235,8 +236,7 @@ class TeamJoiner:
         """Remove a landmark; a single observation that has started it is rejected."""
         state.remove(landmark)
         if not landmark.is_reobserved:
-            self._statistics.reject_observation(Rejection(
-                landmark.owner, landmark.created, RejectionReason.GATED, id=landmark.key[1]))
+            self._statistics.reject_observation(rejected_start(landmark, RejectionReason.GATED))
 
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group that has the same landmarks without ID."""

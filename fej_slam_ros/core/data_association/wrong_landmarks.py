@@ -20,6 +20,30 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 MIN_OTHERS = 2
 
 
+def review_landmarks(
+    state: JointState, innovation: Innovation, statistics: StatisticsByRobot, stamp: int,
+    moved_landmarks: str,
+) -> list[Rejection]:
+    """
+    Trust, distrust and remove landmarks after an update at a stamp [ns].
+
+    Returns the observations that had started the removed ones as rejected, but for landmarks that
+    were moved since. `moved_landmarks` is the parameter.
+
+    """
+    note_accepted(innovation, statistics)
+    rejections = [
+        *remove_started(state, statistics, stamp),
+        *remove_contradicted(state, innovation, statistics)]
+    MOVED_LANDMARKS[moved_landmarks](state, innovation, statistics)
+    return rejections
+
+
+def rejected_start(landmark: Landmark, reason: RejectionReason) -> Rejection:
+    """Return the rejection of the observation that started a landmark."""
+    return Rejection(landmark.owner, landmark.created, reason, id=landmark.key[1])
+
+
 def note_accepted(innovation: Innovation, statistics: StatisticsByRobot) -> None:
     """
     Note the accepted observations on their landmarks, whatever `moved_landmarks` is.
@@ -52,9 +76,7 @@ def remove_started(
         landmark for landmark in state.landmarks.values()
         if landmark.owner in gated and landmark.created == stamp] if gated else []
     state.remove_all(started)
-    return [
-        Rejection(landmark.owner, stamp, RejectionReason.LOST_ROBOT, id=landmark.key[1])
-        for landmark in started]
+    return [rejected_start(landmark, RejectionReason.LOST_ROBOT) for landmark in started]
 
 
 def remove_contradicted(
@@ -75,8 +97,7 @@ def remove_contradicted(
             contradicted[observed.key] = observed
     state.remove_all([*contradicted.values()])
     return [
-        Rejection(landmark.owner, landmark.created, RejectionReason.GATED, id=landmark.key[1])
-        for landmark in contradicted.values()]
+        rejected_start(landmark, RejectionReason.GATED) for landmark in contradicted.values()]
 
 
 def remove_untrusted(state: JointState, robot: str) -> None:
