@@ -4,9 +4,15 @@
 
 from functools import cache
 
+import numpy as np
 from scipy.special import chdtri, gammaincinv
 
 from fej_slam_ros.core.geometry import Array
+
+#: Smallest variance of a residual, relative to that of its own measurement, at which the others
+#: test it. Below it, they predict the measurement a thousand times worse than it is, and the
+#: residual is rounding.
+MIN_REDUNDANCY = 1e-6
 
 
 @cache
@@ -32,4 +38,22 @@ def squared_distances(r: Array, blocks: Array) -> Array:
     x, y = r.T
     xx, xy, yy = blocks[:, 0, 0], blocks[:, 1, 0], blocks[:, 1, 1]
     d2: Array = (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy)
+    return d2
+
+
+def tested_distances(r: Array, S: Array) -> Array:
+    """
+    Return r^T S^-1 r (m,) of whitened residuals in the directions that other measurements test.
+
+    Parameters
+    ----------
+    r : (m, d) array, residuals, whitened by the noise of their own measurements
+    S : (m, d, d) array, their covariances
+
+    """
+    variances, directions = np.linalg.eigh(S)
+    along = np.einsum('mij,mi->mj', directions, r)
+    is_tested = variances > MIN_REDUNDANCY
+    d2: Array = np.sum(
+        np.square(along) * is_tested / np.where(is_tested, variances, 1.0), axis=1)
     return d2

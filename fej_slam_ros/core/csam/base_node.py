@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import block_diag, cholesky, LinAlgError, qr, solve_triangular
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.chi_square import tested_distances
 from fej_slam_ros.core.gauss_newton import (
     ConvergenceError, gauss_newton, NoMinimumError, SingularError)
 from fej_slam_ros.core.geometry import (
@@ -36,9 +37,6 @@ ALIGNMENT_TOLERANCE = 1e-8
 MAX_ALIGNMENT_ITERATIONS = 30
 #: Minimum number of observations that determine a base node.
 MIN_ALIGNMENT_OBSERVATIONS = 2
-#: Smallest ratio of the variance of an observation to that of its difference from the others'
-#: prediction; below it they predict it a thousand times worse than it is.
-MIN_REDUNDANCY = 1e-6
 #: Smallest ratio of diagonal entries of R_sqrt; below it an entry is a rounded zero.
 MIN_DIAGONAL_RATIO = 1e-13
 
@@ -285,16 +283,10 @@ def _decreases_of_chi_square(rows: Array, n: Array) -> Array:
     """
     Return n^T (I - Q Q^T)^-1 n (m,) for the rows (m, 2, c) of Q and the residuals n (m, 2).
 
-    A' = Q R_sqrt. n alone is small where the maps give way to an outlier. Directions in which the
-    others say nothing of an observation do not count: there, n is rounding.
+    A' = Q R_sqrt. n alone is small where the maps give way to an outlier.
 
     """
-    redundancy, directions = np.linalg.eigh(np.eye(2) - rows @ rows.transpose(0, 2, 1))
-    along = np.einsum('mij,mi->mj', directions, n)
-    is_tested = redundancy > MIN_REDUNDANCY
-    decreases: Array = np.sum(
-        np.square(along) * is_tested / np.where(is_tested, redundancy, 1.0), axis=1)
-    return decreases
+    return tested_distances(n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
 
 
 def _base_node(

@@ -25,6 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from fej_slam_ros.core.chi_square import tested_distances
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.loop_closing import (
     close_loops, ClosedLoops, measurements_of, with_measurements)
@@ -40,8 +41,6 @@ from fej_slam_ros.core.smoothing.factors import (
 MIN_PER_LINK = 5
 #: Factor of the covariance of a released link until the slip is known.
 UNKNOWN_SLIP = 1e8
-#: Variance of a residual, relative to that of the link, below which nothing else tests the link.
-MIN_REDUNDANCY = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,15 +171,11 @@ def _distances(joint: JointMap, links: OdometryFactors, sign: float) -> Array:
 
     """
     H, r = links.linearize(joint.values)
-    information, d2 = joint.information(), np.zeros(len(r))
-    for k, (begin, end) in enumerate(zip(links.pose.tolist(), links.target.tolist())):
-        L_inv = whitener(links.R[k])
-        A, b = L_inv @ H[k], L_inv @ r[k]
-        variances, V = np.linalg.eigh(
-            np.eye(3) + sign * A @ information.joint([begin, end]) @ A.T)
-        tested = variances > MIN_REDUNDANCY
-        d2[k] = np.sum(np.square(V.T @ b)[tested] / variances[tested])
-    return d2
+    information, L_inv = joint.information(), whitener(links.R)
+    P = np.array([
+        information.joint(ends) for ends in zip(links.pose.tolist(), links.target.tolist())])
+    A, b = L_inv @ H, (L_inv @ r[:, :, None])[:, :, 0]
+    return tested_distances(b, np.eye(3) + sign * A @ P @ A.transpose(0, 2, 1))
 
 
 def _search(
