@@ -8,7 +8,7 @@ It supplies the linearisation points, the retraction that applies a correction, 
 transport of the covariance after an update, for error coordinates that depend on the estimate.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, Variable
+from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, Variable, Variables
 from fej_slam_ros.core.geometry import Array, Indices, mean_rotation, perpendicular
 from fej_slam_ros.core.ground_truth import Truth
 from fej_slam_ros.core.records import (
@@ -24,7 +24,6 @@ from fej_slam_ros.core.records import (
 
 Poses = dict[str, Array]
 Points = dict[LandmarkKey, Array]
-Variables = Sequence[Variable]
 TwoArrays = tuple[Array, Array]
 
 #: Distance of a first estimate from the estimate of an observed point, divided by that of the

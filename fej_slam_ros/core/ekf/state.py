@@ -75,6 +75,7 @@ class RendezvousPoint:
 
 
 Variable = Robot | Landmark | RendezvousPoint
+Variables = Sequence[Variable]
 VariableT = TypeVar('VariableT', bound=Variable)
 
 #: States of a pose and of a position, counted from the start of the variable.

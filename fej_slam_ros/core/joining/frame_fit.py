@@ -7,7 +7,7 @@ Each shared variable x, x' in the other frame, gives the condition x = g o x' on
 g = (t, alpha) of that frame.
 """
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterator
 from dataclasses import dataclass
 from operator import itemgetter
 
@@ -17,7 +17,7 @@ from scipy.special import chdtri
 
 from fej_slam_ros.core.ekf.covariance import joint_indices
 from fej_slam_ros.core.ekf.state import (
-    JointState, Landmark, POSITION, position_indices, RendezvousPoint, Robot, Variable)
+    JointState, Landmark, POSITION, position_indices, RendezvousPoint, Robot, Variable, Variables)
 from fej_slam_ros.core.geometry import (
     Array, compose, inverse, perpendicular, poses_plus, rigid_fit, transform, wrap_all)
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
@@ -29,7 +29,6 @@ MAX_FIT_ITERATIONS = 50
 #: one place, which determines no heading.
 MIN_RELATIVE_SPREAD = 1e-6
 
-Variables = Sequence[Variable]
 POSE_SIZE = 3
 
 

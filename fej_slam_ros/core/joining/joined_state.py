@@ -18,9 +18,9 @@ from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.matrix_product import product
-from fej_slam_ros.core.ekf.state import at_slot, JointState
+from fej_slam_ros.core.ekf.state import at_slot, JointState, Variables
 from fej_slam_ros.core.geometry import Array, poses_plus, wrap_all
-from fej_slam_ros.core.joining.frame_fit import shared_variables, StackedVariables, Variables
+from fej_slam_ros.core.joining.frame_fit import shared_variables, StackedVariables
 from fej_slam_ros.core.joining.rendezvous_points import marginalize
 from fej_slam_ros.core.pieces import pause, PIECE_FLOPS, ranges
 

@@ -12,12 +12,12 @@ from contextlib import suppress
 from copy import deepcopy
 
 from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.state import JointState, part_of
+from fej_slam_ros.core.ekf.state import JointState, part_of, Variables
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import counted, JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
-    determine_heading, fit, FrameFit, shared_variables, Variables)
+    determine_heading, fit, FrameFit, shared_variables)
 from fej_slam_ros.core.joining.joined_state import joined_state
 from fej_slam_ros.core.joining.outlying_landmarks import (
     outlying_landmarks, single_observation_failure)

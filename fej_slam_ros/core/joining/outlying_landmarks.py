@@ -13,10 +13,10 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.special import chdtri
 
-from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
+from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Variables
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import (
-    determine_heading, fit, FrameFit, shared_variables, StackedVariables, Variables)
+    determine_heading, fit, FrameFit, shared_variables, StackedVariables)
 from fej_slam_ros.core.point_consensus import farthest_points, MAX_OUTLYING, OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
 

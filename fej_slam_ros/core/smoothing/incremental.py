@@ -22,7 +22,6 @@ from fej_slam_ros.core.smoothing import least_squares
 from fej_slam_ros.core.smoothing.factors import (
     concatenated, LandmarkFactors, OdometryFactors, Row, stacked, Values)
 from fej_slam_ros.core.smoothing.least_squares import Solution, TOLERANCE
-from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
 from fej_slam_ros.core.smoothing.problem import Problem
 
@@ -227,10 +226,6 @@ class IncrementalSmoother:
     def covariances(self) -> Array:
         """Return the covariance of each pose since the last adopted solution, (k, 3, 3)."""
         return np.array(self._P).reshape(-1, 3, 3)
-
-    def information(self) -> Information:
-        """Return the information of all poses and landmarks, linearised at the estimate."""
-        return least_squares.information(self.problem(), self.values())
 
     def _since_keyframe(self, u: Array, Q: Array) -> tuple[Array, Array]:
         """Return an increment from the newest pose as one from the last keyframe."""

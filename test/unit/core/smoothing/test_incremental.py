@@ -312,16 +312,6 @@ def test_a_smoother_that_has_adopted_a_solution_leaves_solving_to_others(monkeyp
     assert len(smoother) == module.SOLVE_EVERY + 21
 
 
-def test_information_equals_that_of_the_complete_problem():
-    smoother, _, _ = grown(seed=6)
-
-    poses, points = smoother.information().marginals()
-
-    expected = information(smoother.problem(), smoother.values()).marginals()
-    assert_allclose(poses, expected[0])
-    assert_allclose(points, expected[1])
-
-
 # Chi-square by GTSAM, started at X_GNI of the complete log.
 @pytest.mark.slow
 @pytest.mark.parametrize(('robot', 'expected'), [('r1', 77607.57633), ('r2', 73108.43132)])

@@ -144,7 +144,7 @@ def test_covariances_of_odometry_add_up():
     for step in u:
         smoother.add(step, Q)
 
-    poses, points = smoother.information().marginals()
+    poses, points = information(smoother.problem(), smoother.values()).marginals()
 
     # On a straight line x and heading add up; each heading error contributes to y to the end.
     assert_allclose(poses[k, 0, 0], k * 0.1)
@@ -158,7 +158,8 @@ def test_landmarks_observed_from_a_fixed_pose_have_the_covariance_of_the_observa
     observations = (
         Observation(7, np.array([3.0, 1.0]), R), Observation(9, np.array([1.0, -2.0]), 2.0 * R))
 
-    poses, points = IncrementalSmoother(observations).information().marginals()
+    smoother = IncrementalSmoother(observations)
+    poses, points = information(smoother.problem(), smoother.values()).marginals()
 
     assert_array_equal(poses, np.zeros((1, 3, 3)))
     assert_allclose(points, [R, 2.0 * R])

@@ -14,6 +14,7 @@ from fej_slam_ros.core.geometry import between, wrap
 from fej_slam_ros.core.records import fingerprint, Odometry, RobotScan, Scan
 from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
+from fej_slam_ros.core.smoothing.least_squares import information
 from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.experiments.andersson import experiment
 from fej_slam_ros.experiments.andersson.experiment import Scene, scene
@@ -179,7 +180,7 @@ def sigmas_alone(scenario, robot):
         smoother.add(
             between(before.pose, after.pose), 0.25 * after.twist_covariance, scan.observations)
     smoother.solve()
-    poses, _ = smoother.information().marginals()
+    poses, _ = information(smoother.problem(), smoother.values()).marginals()
     return np.sqrt(poses[:, 2, 2])
 
 
