@@ -34,7 +34,7 @@ from fej_slam_ros.core.new_landmarks import (
 from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    AnyScan, LandmarkKey, NO_ID, PriorMap, Record, Scan, Step, TruePose)
+    AnyScan, LandmarkKey, NO_ID, PriorMap, Scan, Step, TruePose)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import check_values, RobotSettings, Settings
 from fej_slam_ros.core.team_joiner import TeamJoiner
@@ -50,7 +50,7 @@ class BrokenEstimateError(UserError):
             ' that are far too small or too large, and for odometry stamps that jump')
 
 
-class Estimator(TeamInput):
+class Estimator(TeamInput[StepResult]):
     """
     Joint estimation of a team of robots and their map.
 
@@ -126,34 +126,9 @@ class Estimator(TeamInput):
                 self.innovations.nis.setdefault(name, NisMonitor())
                 self.groups.not_in_map[name] = 'it sent no odometry'
 
-    def run(self, records: Iterable[Record]) -> Iterator[StepResult]:
-        """Add all records and close; yield each step when it is finished."""
-        for record in records:
-            self.add(record)
-            yield from self.take()
-        yield from self.close()
-
-    @property
-    def is_waiting(self) -> bool:
-        """Return whether there is no step to take before more input."""
-        return self.sequencer.is_waiting
-
-    def take(self) -> Iterator[StepResult]:
-        """Yield the steps that wait for no more input."""
-        return map(self._checked_step, self.sequencer.take())
-
-    def release(self) -> Iterator[StepResult]:
-        """Yield all steps that the input so far allows, without waiting for more."""
-        return map(self._checked_step, self.sequencer.release())
-
-    def close(self) -> Iterator[StepResult]:
-        """Yield the last steps at the end of the input."""
-        yield from self.release()
-        self._end_input()
-
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
-        self.sequencer.resume()
+        super().resume()
         self.truth.resume()
 
     def pose(self, robot: str) -> PoseEstimate:
@@ -202,6 +177,9 @@ class Estimator(TeamInput):
         self.groups.change_settings(settings)
         self._joiner.change_settings(settings)
         self.sequencer.change_limits(settings)
+
+    def _results(self, steps: Iterator[Step]) -> Iterator[StepResult]:
+        return map(self._checked_step, steps)
 
     def _checked_step(self, step: Step) -> StepResult:
         try:

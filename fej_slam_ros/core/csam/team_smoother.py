@@ -34,7 +34,7 @@ from fej_slam_ros.core.settings import check_anchor, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
 
-class TeamSmoother(TeamInput):
+class TeamSmoother(TeamInput[PoseEstimate]):
     """
     Trajectories and maps of a team of robots.
 
@@ -104,24 +104,11 @@ class TeamSmoother(TeamInput):
     @property
     def is_waiting(self) -> bool:
         """Return whether there is no pose to take before more input."""
-        return self.sequencer.is_waiting and not self._due
-
-    def take(self) -> Iterator[PoseEstimate]:
-        """Yield the new poses of the steps that are due; a later call continues after a stop."""
-        return self._poses(self.sequencer.take())
-
-    def release(self) -> Iterator[PoseEstimate]:
-        """Yield the poses of all input so far without waiting for later input."""
-        return self._poses(self.sequencer.release())
-
-    def close(self) -> Iterator[PoseEstimate]:
-        """Yield the last poses at the end of the input."""
-        yield from self.release()
-        self._end_input()
+        return super().is_waiting and not self._due
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""
-        self.sequencer.resume()
+        super().resume()
         # A solution that was being computed is lost.
         self.new_poses += 1
 
@@ -228,7 +215,8 @@ class TeamSmoother(TeamInput):
         counts = ', '.join(f'{count} {reason.value}' for reason, count in rejected.items())
         return f'it sent no usable odometry: {counts}'
 
-    def _poses(self, steps: Iterator[Step]) -> Iterator[PoseEstimate]:
+    def _results(self, steps: Iterator[Step]) -> Iterator[PoseEstimate]:
+        """Yield the new poses of some steps; a later call continues after a stop."""
         yield from self._rest_of_step()
         for step in steps:
             observations = {scan.robot: scan.observations for scan in step.scans}

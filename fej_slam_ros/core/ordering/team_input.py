@@ -2,20 +2,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """The input of a team, which the estimator and the smoother have in common."""
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Generic, TypeVar
 
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
-    Odometry, PosePrior, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    Odometry, PosePrior, Record, RobotScan, Scan, Step, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
 
-class TeamInput:
+#: Result of a step, or of a robot in it.
+ResultT = TypeVar('ResultT')
+
+
+class TeamInput(ABC, Generic[ResultT]):
     """Base of the estimator and of the smoother: it takes records of all kinds, in any order."""
 
     needs_ids = True  #: whether observations without IDs are rejected
@@ -64,10 +70,50 @@ class TeamInput:
             return self._add_pose_prior(record)
         return None if reason is None else self.statistics.reject_record(record, reason)
 
+    def run(self, records: Iterable[Record]) -> Iterator[ResultT]:
+        """Add all records and close; yield each result as soon as it is there."""
+        for record in records:
+            self.add(record)
+            yield from self.take()
+        yield from self.close()
+
+    @property
+    def is_waiting(self) -> bool:
+        """Return whether there is no result to take before more input."""
+        return self.sequencer.is_waiting
+
+    def take(self) -> Iterator[ResultT]:
+        """
+        Yield the results of the steps that wait for no more input.
+
+        The result of an estimator's step is a `StepResult`; a smoother has a `PoseEstimate` for
+        each robot of the step. A later call continues where this one is stopped.
+
+        """
+        return self._results(self.sequencer.take())
+
+    def release(self) -> Iterator[ResultT]:
+        """Yield the results of all steps that the input so far allows, without waiting."""
+        return self._results(self.sequencer.release())
+
+    def close(self) -> Iterator[ResultT]:
+        """Yield the last results, and reject what no odometry has reached: the input has ended."""
+        yield from self.release()
+        self.sequencer.close()
+        self._pose_priors.close()
+
+    def resume(self) -> None:
+        """Continue from a checkpoint; input from before it may be sent again."""
+        self.sequencer.resume()
+
     def used(self, robot: str) -> int:
         """Return the number of messages of a robot that were used."""
         waiting = self.sequencer.waiting(robot) + self._pose_priors.waiting(robot)
         return self.statistics.received[robot] - self.statistics.rejected[robot] - waiting
+
+    @abstractmethod
+    def _results(self, steps: Iterator[Step]) -> Iterator[ResultT]:
+        """Yield the results of some steps."""
 
     def _add_true_pose(self, record: TruePose) -> RejectionReason | None:
         """Add ground truth; return the reason if it is rejected."""
@@ -79,8 +125,3 @@ class TeamInput:
         if reason is None and self.sequencer.has_processed(record.robot, record.stamp):
             self.statistics.released_without[record.robot] += 1
         return reason
-
-    def _end_input(self) -> None:
-        """Reject the records that no odometry has reached."""
-        self.sequencer.close()
-        self._pose_priors.close()
