@@ -6,6 +6,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable
 from dataclasses import replace
 
+from fej_slam_ros.core.matches import observation_key, ObservationKey
 from fej_slam_ros.core.records import NO_ID, Scan
 
 
@@ -19,20 +20,19 @@ class AssociationScore:
     """
 
     def __init__(self) -> None:
-        self._true_ids: dict[tuple[str, int, bytes], int] = {}
+        self._true_ids: dict[ObservationKey, int] = {}
         self._assigned: defaultdict[int, list[int]] = defaultdict(list)
 
     def without_ids(self, scan: Scan) -> Scan:
         """Return a scan without IDs, and remember them."""
-        self._true_ids |= {
-            (scan.robot, scan.stamp, s.z.tobytes()): s.id for s in scan.observations}
+        self._true_ids |= {observation_key(scan, s): s.id for s in scan.observations}
         return replace(scan, observations=tuple(replace(s, id=NO_ID) for s in scan.observations))
 
     def add(self, scans: Iterable[Scan]) -> None:
         """Add scans with assigned IDs."""
         for scan in scans:
             for s in scan.observations:
-                true_id = self._true_ids[scan.robot, scan.stamp, s.z.tobytes()]
+                true_id = self._true_ids[observation_key(scan, s)]
                 if true_id != NO_ID:
                     self._assigned[s.id].append(true_id)
 
