@@ -41,7 +41,7 @@ def squared_distances(r: Array, blocks: Array) -> Array:
     return d2
 
 
-def tested_distances(r: Array, S: Array) -> Array:
+def distances_where_tested(r: Array, S: Array) -> Array:
     """
     Return r^T S^-1 r (m,) of whitened residuals in the directions that other measurements test.
 

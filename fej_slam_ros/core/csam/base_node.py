@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import block_diag, cholesky, LinAlgError, qr, solve_triangular
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.chi_square import tested_distances
+from fej_slam_ros.core.chi_square import distances_where_tested
 from fej_slam_ros.core.gauss_newton import (
     ConvergenceError, gauss_newton, NoMinimumError, SingularError)
 from fej_slam_ros.core.geometry import (
@@ -286,7 +286,7 @@ def _decreases_of_chi_square(rows: Array, n: Array) -> Array:
     A' = Q R_sqrt. n alone is small where the maps give way to an outlier.
 
     """
-    return tested_distances(n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
+    return distances_where_tested(n, np.eye(2) - rows @ rows.transpose(0, 2, 1))
 
 
 def _base_node(

@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.chi_square import tested_distances
+from fej_slam_ros.core.chi_square import distances_where_tested
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.loop_closing import (
     close_loops, ClosedLoops, measurements_of, with_measurements)
@@ -175,7 +175,7 @@ def _distances(joint: JointMap, links: OdometryFactors, sign: float) -> Array:
     P = np.array([
         information.joint(ends) for ends in zip(links.pose.tolist(), links.target.tolist())])
     A, b = L_inv @ H, (L_inv @ r[:, :, None])[:, :, 0]
-    return tested_distances(b, np.eye(3) + sign * A @ P @ A.transpose(0, 2, 1))
+    return distances_where_tested(b, np.eye(3) + sign * A @ P @ A.transpose(0, 2, 1))
 
 
 def _search(

@@ -142,9 +142,7 @@ def _smoothing_task(
     team = TeamSmoother(Settings(
         tuple(RobotSettings(name, id=k) for k, name in enumerate(robots, start=1)), robots[0],
         shared_landmark_ids=False))
-    for record in records:
-        team.add(record)
-    deque(team.close(), maxlen=0)
+    deque(team.run(records), maxlen=0)
     return team.task()
 
 

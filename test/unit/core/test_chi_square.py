@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fej_slam_ros.core.chi_square import band_per_dof, chi_square_quantile
+from fej_slam_ros.core.chi_square import band_per_dof, chi_square_quantile, distances_where_tested
 
 DOFS = (1, 2, 3, 30, 401, 5000)
 # Two implementations of the inverse of the same incomplete gamma function.
@@ -37,3 +37,19 @@ def test_a_band_per_degree_of_freedom_holds_the_mean_nees_of_consistent_runs(run
     sd = np.sqrt(tail * (1.0 - tail) / 20_000)  # of a share of the draws
     assert np.mean(means < low) == pytest.approx(tail, abs=4.0 * sd)
     assert np.mean(means > high) == pytest.approx(tail, abs=4.0 * sd)
+
+
+def test_tested_distances_are_mahalanobis_distances_of_definite_covariances():
+    rng = np.random.default_rng(2)
+    r, A = rng.normal(size=(20, 3)), rng.normal(size=(20, 3, 3))
+    S = A @ A.transpose(0, 2, 1) + 0.1 * np.eye(3)
+
+    d2 = distances_where_tested(r, S)
+
+    assert d2 == pytest.approx([e @ np.linalg.solve(S_e, e) for e, S_e in zip(r, S)], rel=1e-10)
+
+
+def test_directions_in_which_nothing_else_tests_a_residual_do_not_count():
+    r, S = np.array([[3.0, 1e-9]]), np.diag([2.0, 1e-12])[None]
+
+    assert distances_where_tested(r, S) == pytest.approx([4.5])
