@@ -48,9 +48,7 @@ class Keyframes:
         """Return the robots whose poses at one stamp are kept for their own measurements."""
         if self._distance == 0.0:
             return {robot for robot, _, _ in steps}
-        return {
-            robot for robot, motion, observations in steps
-            if self._is_kept(robot, motion, observations)}
+        return {step[0] for step in steps if self._is_kept(*step)}
 
     def choose_robot_scans(self, scans: Iterable[RobotScan]) -> list[RobotScan]:
         """Return the robot-to-robot observations that are kept: one of the two has moved."""

@@ -50,6 +50,10 @@ class LandmarkAlignment(NamedTuple):
     scale: float  #: lengths in the first map, divided by those in the second
 
 
+#: An alignment, or why there is none.
+Aligned = LandmarkAlignment | JoinFailure
+
+
 class SharedLandmarks:
     """
     The landmarks of two maps that have a common key.
@@ -71,7 +75,7 @@ class SharedLandmarks:
 
     def align(
         self, without: Collection[LandmarkKey] = (), *, with_scale: bool = False
-    ) -> LandmarkAlignment | JoinFailure:
+    ) -> Aligned:
         """
         Return the base node that aligns the landmarks, but for some of them.
 
@@ -112,7 +116,7 @@ class SharedLandmarks:
         """
         return _consistent(self.align(with_scale=True), rules)
 
-    def align_by_consistent(self) -> LandmarkAlignment | JoinFailure:
+    def align_by_consistent(self) -> Aligned:
         """Return the alignment by the landmarks that do not contradict the others."""
         farthest = self._farthest()
         others = self.align(farthest)
@@ -148,8 +152,7 @@ class SharedLandmarks:
             ' this, join_probability 1.0 joins the maps')
 
     def _contradicting(
-        self, farthest: Sequence[LandmarkKey], aligned: LandmarkAlignment | JoinFailure,
-        rules: JoinRules,
+        self, farthest: Sequence[LandmarkKey], aligned: Aligned, rules: JoinRules
     ) -> dict[LandmarkKey, float]:
         """Return `contradicting` among the farthest ones, given the alignment by the others."""
         others = _consistent(aligned, rules)
@@ -187,9 +190,7 @@ class SharedLandmarks:
         return [self._keys[k] for k in farthest_points(self._points_p, self._points_q, most)]
 
 
-def _consistent(
-    aligned: LandmarkAlignment | JoinFailure, rules: JoinRules
-) -> LandmarkAlignment | None:
+def _consistent(aligned: Aligned, rules: JoinRules) -> LandmarkAlignment | None:
     """Return an alignment if there is one whose chi-square is within its limit."""
     if isinstance(aligned, JoinFailure) or rules.inconsistency(aligned.chi_square, aligned.dof):
         return None
