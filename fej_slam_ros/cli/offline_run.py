@@ -4,7 +4,7 @@
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 import logging
@@ -28,6 +28,7 @@ from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import changes_before, RunSettings
 from fej_slam_ros.ros.session.input_faults import reasons_in_words
 from fej_slam_ros.ros.session.outputs import Publication
+from fej_slam_ros.ros.session.rejection_cures import description_and_cure
 from fej_slam_ros.ros.session.session import Session
 from fej_slam_ros.ros.session.topic_flow import SENT_AGAIN
 from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
@@ -170,7 +171,7 @@ def process(
         _renew_picture(folder, arguments.picture)
 
 
-def require_use(arguments: argparse.Namespace, sessions: Iterable[Session]) -> None:
+def require_use(arguments: argparse.Namespace, sessions: Sequence[Session]) -> None:
     """Raise a `UserError` if all odometry or all scans of the bag were rejected."""
     flows = [
         (kind, flow) for session in sessions for health in session.inputs.health.robots.values()
@@ -181,10 +182,12 @@ def require_use(arguments: argparse.Namespace, sessions: Iterable[Session]) -> N
         reasons = sum(rejected, Counter[RejectionReason]())
         # A run that is restored from a checkpoint may get what it has used before.
         if received == reasons.total() and not reasons.keys() <= SENT_AGAIN:
-            topics = ' and '.join(f'<robot>/{kind}' for kind in kinds)
+            topics, (reason, _) = [f'<robot>/{kind}' for kind in kinds], *reasons.most_common(1)
+            _, cure = description_and_cure(topics[0], reason, sessions[0].settings.estimation)
             raise UserError(
-                f'all {received} messages on {topics} are rejected: {reasons_in_words(reasons)};'
-                f' fej_slam doctor {arguments.bag} --params {arguments.params} names the cures')
+                f'all {received} messages on {" and ".join(topics)} are rejected:'
+                f' {reasons_in_words(reasons)}: {cure}; fej_slam doctor {arguments.bag} --params'
+                f' {arguments.params} checks the bag')
 
 
 def _folder(output: Path, number: int) -> Path:

@@ -34,9 +34,9 @@ class ErrorLimits(NamedTuple):
     none: Array  #: (n,) array, the values without errors
     #: (n,) array; these standard deviations keep a value at `none` that the data leave open
     prior_sigma: Array
-    max_standard_error: Array  #: (n,) array; a value is determined below this
-    #: (n,) array, of determined values; they also differ from `none` by MIN_SIGMAS
-    min_error: Array
+    #: (n,) array; a value is determined below this, an error below twice this
+    max_standard_error: Array
+    min_error: Array  #: (n,) array; errors are larger, and larger than MIN_SIGMAS standard errors
 
     @property
     def max_error(self) -> Array:
@@ -47,8 +47,9 @@ class ErrorLimits(NamedTuple):
         """Return which values (n,) are known, which of them are errors, and which at a limit."""
         error = np.abs(x - self.none)
         at_limit = error > 0.99 * self.max_error
-        known = (sigma < self.max_standard_error) & ~at_limit
-        return known, known & (error > np.maximum(MIN_SIGMAS * sigma, self.min_error)), at_limit
+        is_error = ~at_limit & (error > np.maximum(MIN_SIGMAS * sigma, self.min_error))
+        shown = is_error & (sigma < 2.0 * self.max_standard_error)
+        return shown | (~at_limit & (sigma < self.max_standard_error)), shown, at_limit
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -120,6 +120,14 @@ def _covariances(where: str, topic: OdometrySeries, robot: str) -> Iterator[Find
             ' (fej_slam calibrate, by ground truth or landmarks)', int(unknown.sum()))
     known = variances[~unknown]
     sigma = np.sqrt(known)
+    exact = int((known[:, 1] == 0.0).sum())
+    if exact:
+        yield warning(
+            'exact_odometry', where,
+            f'the variance of vy in twist.covariance is zero in {exact} of {len(variances)}'
+            ' messages, which smooth rejects',
+            f'to smooth the bag, give vy a variance, or set {robot}.use_odometry_covariance to'
+            ' false, to use odometry_sigma', exact)
     # A variance of zero is valid for vy: many robots cannot move sideways.
     smallest = np.array(MIN_SPEED_SIGMA)
     too_small = (sigma < smallest) & (np.array([True, False, True]) | (known > 0.0))

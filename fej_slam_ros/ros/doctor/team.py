@@ -181,8 +181,8 @@ def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Findin
             'does_not_fit', robot,
             f'{100 * gated:.0f} % of its observations of mapped landmarks contradict the map'
             + (f', likely lost: {lost}' if lost else ''),
-            'check IDs, stamps, sensor_pose, the size of tags, and x ahead and y left in metres;'
-            ' then run fej_slam calibrate')
+            'check IDs, stamps, sensor_pose, the size of tags, the covariance of odometry, and x'
+            ' ahead and y left in metres; then run fej_slam calibrate')
     if not is_wrong:
         yield from _contradicted_ids(robot, survey, trial)
 

@@ -93,6 +93,9 @@ CURES_OF_PRIORS: dict[Reason, tuple[str, str]] = {
 IGNORE = '{robot}.use_odometry_covariance to false, to use odometry_sigma'
 #: The same for odometry.
 CURES_OF_ODOMETRY: dict[Reason, tuple[str, str]] = {
+    Reason.NOT_FINITE: (
+        'NaN or infinity',
+        f'do not publish missing measurements; if only twist.covariance has them, set {IGNORE}'),
     Reason.OUT_OF_RANGE: (
         'implausibly large number, or variance above 1e12',
         f'give metres, and all zero if the covariance is unknown, or set {IGNORE}'),

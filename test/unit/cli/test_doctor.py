@@ -140,6 +140,9 @@ FAULTS = {
     'odometry covariance tiny': (
         C, each('r2/odom', twist_covariance(lambda c: 1e-12 * np.eye(6).ravel())), 1,
         'absurd_covariance', 'r2/odom', 'variances'),
+    'odometry that cannot move sideways': (
+        C, each('r1/odom', twist_covariance(at(7, 0.0))), 0, 'exact_odometry', 'r1/odom',
+        'use_odometry_covariance'),
     'odometry covariance not definite': (
         R, each('q/odom', twist_covariance(at(0, -0.1))), 1, 'bad_covariance', 'q/odom', ''),
     'observation covariance tiny': (

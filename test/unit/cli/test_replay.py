@@ -120,11 +120,14 @@ def test_delays_below_max_delay_do_not_matter(replay, summary, seed):
     assert (summary()['depends_on_arrival'], summary()['counts']['late']) == (False, 0)
 
 
-@pytest.mark.parametrize(('changes', 'topics', 'reason'), [
-    ({'frame': 'camera'}, '<robot>/landmarks and <robot>/robots', '2 wrong_frame'),
-    ({'quaternion': (0.0, 0.0, 0.0, 0.0)}, '<robot>/odom', '3 bad_quaternion')])
+@pytest.mark.parametrize(('changes', 'topics', 'reason', 'cure'), [
+    ({'frame': 'camera'}, '<robot>/landmarks and <robot>/robots', '2 wrong_frame',
+     'set frame_id to <robot>/base_link'),
+    ({'quaternion': (0.0, 0.0, 0.0, 0.0)}, '<robot>/odom', '3 bad_quaternion', 'normalise it'),
+    ({'twist_covariance': -np.eye(6)}, '<robot>/odom', '3 bad_covariance',
+     'correct twist.covariance, give all zero if unknown, or set <robot>.use_odometry')])
 def test_input_that_is_all_rejected_is_an_error_after_the_files_are_written(
-        replay, summary, changes, topics, reason):
+        replay, summary, changes, topics, reason, cure):
     frame = {'frame': changes['frame']} if 'frame' in changes else {}
     turn = {} if frame else changes
 
@@ -133,7 +136,8 @@ def test_input_that_is_all_rejected_is_an_error_after_the_files_are_written(
         *(scan(ms, (1, 2.0, 1.0), **frame) for ms in (50, 100))])
 
     assert status == 1
-    assert f'all {reason[0]} messages on {topics} are rejected: {reason}; fej_slam doctor' in error
+    assert f'all {reason[0]} messages on {topics} are rejected: {reason}: {cure}' in error
+    assert '; fej_slam doctor' in error
     assert 'state hash' in table
     assert summary()['counts'][reason[2:]] == int(reason[0])
 
