@@ -16,6 +16,7 @@ from pathlib import Path
 
 from tqdm import tqdm
 
+from fej_slam_ros.cli.arguments import refuse_input_as_output
 from fej_slam_ros.cli.converters.common import add_output, write_with_parameters
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.errors import UsageError
@@ -44,8 +45,7 @@ def convert(arguments: Namespace) -> None:
     """Write the bag of the team and print the number of messages of each robot."""
     names = parameters.robot_names([robot for robot, _ in arguments.input])
     for _, bag in arguments.input:
-        if bag.resolve() == arguments.output.resolve():
-            raise UsageError(f'{arguments.output} is a bag to read: choose another output')
+        refuse_input_as_output(arguments.output, bag)
     robots = RobotBags(dict(arguments.input))
     copied: Counter[str] = Counter()
     settings = Settings(
@@ -73,6 +73,6 @@ def _report(
     for name in names:
         own = {topic: count for topic, count in copied.items() if topic.startswith(f'{name}/')}
         yield f'{name}: topics: {len(own)}, messages: {sum(own.values())}'
-    unknown = sorted({topic.type_name for topic in robots.topics.values() if not topic.is_known})
+    unknown = bags.unknown_types(robots.topics.values())
     if unknown:
-        yield f'not copied, of unknown types: {", ".join(unknown)}'
+        yield unknown

@@ -13,6 +13,7 @@ from typing import ClassVar
 
 import numpy as np
 
+from fej_slam_ros.core.ekf import first_estimates
 from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ekf.kernel import KERNEL
@@ -26,9 +27,6 @@ Poses = dict[str, Array]
 Points = dict[LandmarkKey, Array]
 TwoArrays = tuple[Array, Array]
 
-#: Distance of a first estimate from the estimate of an observed point, divided by that of the
-#: observer, up to which it is kept. Beyond 1 it may lie in any direction.
-MAX_MOVED = 1.0
 #: Standard deviation [rad] of a robot's heading change since it last took part in an update,
 #: beyond which its landmarks no longer rotate with it.
 MAX_HEADING_DRIFT = 0.1
@@ -194,31 +192,11 @@ class FirstEstimates(Linearization):
         return state.x_first.take(columns)
 
     def renew_points(self, state: JointState, columns: Indices) -> bool:
-        """
-        Renew the first estimates of observed points whose offset from the observer they distort.
-
-        This is not in [Liu]. Where a map has been corrected by metres, a landmark nearby may lie
-        in any direction at its first estimate, and H corrects the heading by an offset that has
-        nothing to do with the true one. Its estimate then becomes its first estimate. A rotation
-        of the whole state moved the landmark by J f, and has to move it by J f_hat: its error
-        gets J (f_hat - f) theta, as in the invariant filter, with the theta of the robot that has
-        the most certain heading. So the rotation stays unobservable.
-
-        """
-        estimates, points = state.estimates_of(columns), columns[:, 3:]
-        moved = estimates[:, 3:] - state.x_first.take(points)
-        offset = estimates[:, 3:] - estimates[:, :2]
-        is_far = np.sum(moved ** 2, axis=1) > MAX_MOVED ** 2 * np.sum(offset ** 2, axis=1)
-        if not is_far.any():
-            return False
-        P, headings = state.whole(), state.headings()
-        theta = headings[[np.argmin(P.variance_bounds(headings[:, None]))]]
-        renewed = np.unique(points[is_far], axis=0)
-        V = np.zeros((P.dimension, 1))
-        V[renewed, 0] = perpendicular(state.x_hat[renewed] - state.x_first[renewed])
-        P.transport(Transport(theta, V, np.zeros(P.dimension), state.heading_of))
-        state.x_first[renewed] = state.x_hat[renewed]
-        return True
+        """Renew first estimates that have nothing to do with the estimates any more."""
+        points = first_estimates.far_points(state, columns)
+        if len(points):
+            first_estimates.renew(state, points)
+        return len(points) > 0
 
     def _value(self, state: JointState, variable: Variable) -> Array:
         return state.first_estimate(variable)

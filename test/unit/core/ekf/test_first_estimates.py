@@ -7,8 +7,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.ekf.first_estimates import MAX_MOVED
 from fej_slam_ros.core.ekf.gating import Association, Gate
-from fej_slam_ros.core.ekf.linearization import FirstEstimates, MAX_MOVED, Standard
+from fej_slam_ros.core.ekf.linearization import FirstEstimates, Standard
 from fej_slam_ros.core.ekf.observability import (
     linearized_rigid_motions, record_observability)
 from fej_slam_ros.core.ekf.state import JointState, observation_columns
