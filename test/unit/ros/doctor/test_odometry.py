@@ -6,8 +6,13 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.odometry import check
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
+
+
+def checked(topic):
+    return check(topic, RobotSettings('r1', 1))
 
 
 def findings_of(x, stamps=None):
@@ -15,7 +20,7 @@ def findings_of(x, stamps=None):
     if stamps is None:
         stamps = np.arange(len(x)) * NS // 10
     variances = [[1e-2, 1e-2, 1e-3]] * len(x)
-    return [finding.name for finding in check('r1/odom', OdometrySeries(
+    return [finding.name for finding in checked(OdometrySeries(
         stamps.tolist(), stamps.tolist(), poses=[(at, 0.0, 0.0) for at in x.tolist()],
         variances=variances))]
 
@@ -37,7 +42,7 @@ def test_the_cure_of_a_jump_names_the_limits_by_which_a_recorded_one_is_used():
     x = np.repeat([0.0, 0.5], 50)
     stamps = (np.arange(100) * NS // 10).tolist()
 
-    (finding,) = check('r1/odom', OdometrySeries(
+    (finding,) = checked(OdometrySeries(
         stamps, stamps, poses=[(at, 0.0, 0.0) for at in x.tolist()],
         variances=[[1e-2, 1e-2, 1e-3]] * 100))
 
@@ -61,7 +66,7 @@ def findings_on_a_drive(of_yaw, direction=0.0, dt=0.1):
         0.5 * dt * np.append(0.0, np.cumsum(part(courses))) for part in (np.cos, np.sin))
     stamps = (t * NS).astype(int).tolist()
     wrong = np.angle(np.exp(1j * of_yaw(yaw)))
-    return [finding.what for finding in check('r1/odom', OdometrySeries(
+    return [finding.what for finding in checked(OdometrySeries(
         stamps, stamps, poses=[*zip(x, y, wrong)], variances=[[1e-2, 1e-2, 1e-3]] * 1000))]
 
 
