@@ -35,7 +35,7 @@ from fej_slam_ros.ros.session.smoother_session import BagSmootherSession
 
 NO_ODOMETRY = 'the bag has no valid odometry: replay it to see the rejection reasons'
 #: Parameters, of the team or of a robot, that the exported measurements contain.
-IN_TABLES = ('sensor_pose',)
+IN_TABLES = ('sensor_pose', 'sensor_delay')
 IN_GRAPH = (
     *IN_TABLES, 'use_odometry_covariance', 'odometry_sigma', 'landmark_sigma', 'odometry_scale',
     'odometry_turn_bias', 'observation_range_scale', 'observation_bearing_bias',

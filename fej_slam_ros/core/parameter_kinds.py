@@ -93,6 +93,7 @@ NOISE_SCALE = numbers('a number', Range(1.0 / MAX_NOISE_SCALE, MAX_NOISE_SCALE))
 ODOMETRY_SCALE = numbers('two numbers [distance, turn]', Range(0.1, 10), (2,))
 TURN_BIAS = numbers('a number', Range(-10, 10))
 RANGE_SCALE = numbers('a number', Range(0.1, 10))
+SENSOR_DELAY = numbers('a number', Range(-10, 10))
 BEARING_BIAS = numbers('a number', Range(-3.2, 3.2))
 # Clouds carry IDs as int32, in which -1 means unknown.
 ROBOT_ID = numbers('an integer', Range(0, 2**31 - 1), element=int)

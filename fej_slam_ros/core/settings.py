@@ -15,7 +15,7 @@ import numpy as np
 from fej_slam_ros.core.parameter_kinds import (
     BEARING_BIAS, FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE, one_of,
     Parameter, parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY,
-    Range, RANGE_SCALE, ROBOT_ID, ROBOT_NAMES, TEXT, TURN_BIAS)
+    Range, RANGE_SCALE, ROBOT_ID, ROBOT_NAMES, SENSOR_DELAY, TEXT, TURN_BIAS)
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 
@@ -70,6 +70,9 @@ class CommonRobotSettings(NoiseSettings):
     _: KW_ONLY
     sensor_pose: Triple = parameter(
         ORIGIN, POSE, 'pose of the landmark sensor in the base frame', 'm, m, rad')
+    sensor_delay: float = parameter(
+        0.0, SENSOR_DELAY,
+        'time by which the stamps of landmarks and robots are late; max_delay must be larger', 's')
     sensor_frame: str | None = parameter(
         None, TEXT, 'additional frame name that scans may carry', default='none')
     odom_frame: str | None = parameter(

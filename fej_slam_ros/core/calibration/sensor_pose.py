@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
+from fej_slam_ros.core.calibration.shown_errors import blocks
 from fej_slam_ros.core.geometry import Array, poses_at, rotation, Stamps, wrap
 from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan
 
@@ -61,6 +62,7 @@ class SensorFit:
     is_determined: bool  #: whether the motion determines it: not on circles about one centre
     delayed: float  #: agreement with other stamps
     delay: float  #: by which these are later than those given [s]
+    delay_sigmas: float  #: gain by this delay, in standard errors of the gain
     mirrored: float  #: agreement with left and right exchanged, at the best pose
     still: float  #: agreement without any motion: in map, or of what moves with the robot
     bearings_differ: bool  #: whether the ranges of pairs agree, but not at all their bearings
@@ -81,12 +83,22 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
     delay = float(minimize_scalar(
         lambda delay: pairs.at_odometry(delay).agreement(none),
         bounds=(-MAX_STAMP_ERROR, MAX_STAMP_ERROR), method='bounded').x)
+    delayed, as_given = pairs.at_odometry(delay), given.agreement(none)
     mirrored = replace(pairs, z=pairs.z * [1.0, -1.0]).at_odometry(0.0)
     return SensorFit(
-        len(pairs.sigma), given.agreement(none), given.agreement(pose), pose,
-        given.is_determined(pose), pairs.at_odometry(delay).agreement(none), delay,
+        len(pairs.sigma), as_given, given.agreement(pose), pose,
+        given.is_determined(pose), delayed.agreement(none), delay,
+        _sigmas(given.costs(as_given) - delayed.costs(as_given), pairs.stamps[0]),
         mirrored.agreement(mirrored.fitted()), pairs.still().agreement(none),
         given.bearings_differ())
+
+
+def _sigmas(gains: Array, stamps: Stamps) -> float:
+    """Return gains (n,) in standard errors; they depend within blocks of time."""
+    of_blocks = np.bincount(blocks(stamps), gains)
+    # A gain is that of an error squared, so that a few sharp turns would count for all.
+    roots = np.sign(of_blocks) * np.sqrt(np.abs(of_blocks))
+    return float(roots.sum() / np.sqrt(np.sum((roots - roots.mean()) ** 2)))
 
 
 def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:
@@ -221,6 +233,12 @@ class _PlacedPairs:
         """Return the root median squared distance, 1 for the claimed noise."""
         squared = np.sum(self.residuals(pose) ** 2, axis=1)
         return float(np.sqrt(np.median(squared) / (2.0 * np.log(2.0))))
+
+    def costs(self, scale: float) -> Array:
+        """Return the robust loss (n,) of the differences as given, for a scale of their noise."""
+        squared = np.sum(self.residuals(np.zeros(3)) ** 2, axis=1)
+        costs: Array = np.sqrt(1.0 + squared / scale ** 2)
+        return costs
 
     def is_determined(self, pose: Array) -> bool:
         """Return whether a change of each part of a pose (3,) changes the differences."""

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.calibration.sensor_pose import fit_sensor, SensorFit
+from fej_slam_ros.core.calibration.shown_errors import MIN_SIGMAS
 from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.records import Odometry, Scan
@@ -46,6 +47,9 @@ STILL = 0.35
 #: In the wrong one, of robots that turn by up to 0.3 and 0.6 rad/s, it was 1.7 and 2.7, of which
 #: 0.73 and 0.5 remained in the right one.
 SUSPICIOUS, REVERSED = 1.5, 0.8
+#: Share up to which a delay is reported whose gain is of MIN_SIGMAS standard errors: with coarse
+#: odometry, 0.8 to 0.9 remained at 0.1 to 0.3 s. Without a delay, the gain was of up to 3.
+DELAYED = 0.95
 #: Smallest errors that are reported [m], [rad], [s].
 MIN_SHIFT, MIN_TURN, MIN_DELAY = 0.03, math.radians(1.0), 0.02
 #: Limits of radii [m] between which posts are looked for, whatever the parameters are, the
@@ -72,7 +76,8 @@ CURES = {
          ' it stood still, check its odometry'),
         'give y to the left, as in all frames of ROS, or set mirrored_axis of the adapter',
         'correct the static transform of the sensor or its sensor_pose',
-        'stamp observations with the time of the scan or image, not with that of its processing')}
+        ('stamp observations with the time of the scan or image, not with that of its processing,'
+         ' or set sensor_delay of the robot to this time, and max_delay to more'))}
 
 
 def check(
@@ -194,7 +199,9 @@ def findings(topic: str, fit: SensorFit) -> Iterator[Finding]:
         return
     is_mirrored = fit.mirrored < min(
         MIRRORED * min(fit.as_given, fit.moved, fit.delayed), MAX_MIRRORED)
-    if best > REPORTED * fit.as_given and not is_mirrored:
+    is_delayed = fit.delay_sigmas > MIN_SIGMAS and (
+        fit.delayed < DELAYED * min(fit.as_given, fit.moved, fit.mirrored))
+    if best > REPORTED * fit.as_given and not is_mirrored and not is_delayed:
         if fit.bearings_differ:
             yield error(
                 BEARINGS, topic,

@@ -15,7 +15,7 @@ from rosbags.typesys.stores.ros2_jazzy import sensor_msgs__msg__PointCloud2 as P
 
 from fej_slam_ros.core.geometry import Array, rotation
 from fej_slam_ros.core.records import (
-    MAX_ID, NO_ID, Observation, RobotObservation, RobotScan, Scan, TrueLandmarks)
+    MAX_ID, NO_ID, NS, Observation, RobotObservation, RobotScan, Scan, TrueLandmarks)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages.cloud import BadCloudError, cloud_size, Columns, read_cloud
@@ -48,7 +48,7 @@ def scan(
         return RejectionReason.NO_IDENTITY if needs_ids and landmark == NO_ID else None
 
     observations, rejected = _observations(cloud, robot, id_fault, {})
-    return Scan(robot.name, from_time(cloud.header.stamp), tuple(observations)), rejected
+    return Scan(robot.name, stamp_of(cloud, robot), tuple(observations)), rejected
 
 
 def has_unknown_landmarks(cloud: PointCloud2) -> bool:
@@ -68,8 +68,13 @@ def robot_scan(
         return None if observed in robots_by_id else RejectionReason.UNKNOWN_ROBOT
 
     observations, rejected = _observations(cloud, robot, id_fault, robots_by_id)
-    return RobotScan(robot.name, from_time(cloud.header.stamp), tuple(
+    return RobotScan(robot.name, stamp_of(cloud, robot), tuple(
         RobotObservation(robots_by_id[s.id], s.z, s.R) for s in observations)), rejected
+
+
+def stamp_of(cloud: PointCloud2, robot: RobotSettings) -> int:
+    """Return the time [ns] of the observations in a cloud of a robot."""
+    return from_time(cloud.header.stamp) - round(robot.sensor_delay * NS)
 
 
 def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
@@ -171,7 +176,7 @@ def _observations(
     columns = checked_columns(cloud)
     ids = columns['id'].astype(int).tolist()
     z, R = points_of(columns), covariances_of(columns, robot.landmark_sigma)
-    faults, stamp = observation_faults(z, R), from_time(cloud.header.stamp)
+    faults, stamp = observation_faults(z, R), stamp_of(cloud, robot)
     if any(robot.sensor_pose):
         z, R = _in_base_frame(z, R, np.array(robot.sensor_pose))
         # By static transforms a sensor may be far from its robot.

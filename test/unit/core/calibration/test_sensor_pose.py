@@ -26,15 +26,17 @@ def drive(seconds, circle=False):
     return (np.arange(len(poses)) * DT * NS).astype(np.int64), np.array(poses)
 
 
-def data(pose=(0.0, 0.0, 0.0), late=0.0, mirrored=False, ids=True, circle=False, seconds=60.0):
+def data(
+        pose=(0.0, 0.0, 0.0), late=0.0, mirrored=False, ids=True, circle=False, seconds=60.0,
+        noise=(5e-4, 1e-4, 2e-4)):
     """Return odometry and scans of a sensor with an unknown pose, whose stamps are late [s]."""
     rng = np.random.default_rng(0)
     landmarks = rng.uniform(-8.0, 8.0, (25, 2))
     stamps, poses = drive(seconds, circle)
     odometry, integrated = [Odometry('r', 0, np.zeros(3), None)], np.zeros(3)
     for k in range(1, len(stamps)):
-        noise = rng.normal(0.0, [5e-4, 1e-4, 2e-4])
-        integrated = compose(integrated, between(poses[k - 1], poses[k]) + noise)
+        measured = between(poses[k - 1], poses[k]) + rng.normal(0.0, noise)
+        integrated = compose(integrated, measured)
         odometry.append(Odometry('r', int(stamps[k]), integrated, None))
     scans = []
     for t in np.arange(1.0, seconds - 2.0, 0.1):
@@ -102,6 +104,18 @@ def test_the_delay_of_stamps_is_found(late):
 
     assert fit.delay == pytest.approx(late, abs=0.01)
     assert fit.delayed < 0.5 * min(fit.as_given, fit.moved)
+
+
+@pytest.mark.parametrize('late', [0.0, 0.2])
+def test_the_gain_by_a_delay_tells_it_from_the_noise_of_coarse_odometry(late):
+    # 0.07 m and 0.04 rad in a second: most of the disagreement remains.
+    fit = fit_sensor(*data(late=late, seconds=600.0, noise=(1e-2, 1e-2, 6e-3)))
+
+    assert fit.delayed > 0.6 * fit.as_given
+    # Without a delay, the gain is that of the best of all delays.
+    assert (fit.delay_sigmas > 4.0) == (late > 0.0)
+    # Three standard deviations of ten such runs.
+    assert fit.delay == pytest.approx(late, abs=0.15)
 
 
 @pytest.mark.parametrize('ids', [True, False])

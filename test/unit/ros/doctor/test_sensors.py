@@ -18,7 +18,7 @@ from helpers.lasers import NO_WALLS
 from helpers.ros import (
     cdr, header, odometry_message, raw, run_verb, TYPES, write_bag, write_parameters)
 
-AS_GIVEN = SensorFit(500, 1.0, 1.0, np.zeros(3), True, 1.0, 0.0, 50.0, 50.0, False)
+AS_GIVEN = SensorFit(500, 1.0, 1.0, np.zeros(3), True, 1.0, 0.0, 0.0, 50.0, 50.0, False)
 WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360, 'seed': 4}
 
 
@@ -35,6 +35,10 @@ WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360
           'is_determined': False}, [('sensor_pose', 'error', 'circles')]),
         ({'as_given': 5.0, 'moved': 4.0, 'delay': 0.1}, [('sensor_time', 'error', 's too late')]),
         ({'as_given': 5.0, 'moved': 4.0, 'delay': -0.1}, [('sensor_time', 'error', 'too early')]),
+        ({'as_given': 1.7, 'moved': 1.7, 'delayed': 1.4, 'delay': 0.3, 'delay_sigmas': 5.0},
+         [('sensor_time', 'warning', '0.30 s too late')]),
+        ({'as_given': 1.7, 'moved': 1.7, 'delayed': 1.4, 'delay': 0.3, 'delay_sigmas': 3.0}, []),
+        ({'as_given': 1.7, 'moved': 1.45, 'delayed': 1.4, 'delay': 0.3, 'delay_sigmas': 5.0}, []),
         ({'as_given': 60.0, 'moved': 50.0, 'delayed': 60.0, 'mirrored': 1.0},
          [('sensor_mirrored', 'error', 'left and right')]),
         ({'as_given': 2.24, 'moved': 2.25, 'delayed': 2.18, 'mirrored': 1.75},

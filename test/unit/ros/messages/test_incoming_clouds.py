@@ -64,6 +64,16 @@ def test_an_observation_without_covariance_has_the_one_of_the_parameters(given_c
     np.testing.assert_allclose(observation.R, [[0.09, 0.0], [0.0, 0.04]], rtol=1e-15)
 
 
+def test_observations_of_a_sensor_whose_stamps_are_late_are_earlier():
+    robot = RobotSettings('r1', 1, sensor_delay=0.3)
+    message = seen((2, 1.0, 0.0), (-7, 1.0, 0.0), ms=400)
+
+    scan, (rejection,) = incoming_clouds.scan(message, robot)
+    robots, _ = incoming_clouds.robot_scan(message, robot, {2: 'r2'})
+
+    assert {scan.stamp, rejection.stamp, robots.stamp} == {100 * MS}
+
+
 def test_an_unknown_covariance_affects_one_point_only():
     scan, _ = incoming_clouds.scan(with_covariances((1, 0, 4, 1, 9), (1, 0, 0, 0, 0)), R1)
 
