@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares, minimize_scalar
 
-from fej_slam_ros.core.calibration.shown_errors import blocks
+from fej_slam_ros.core.calibration.shown_errors import blocks, MIN_BLOCKS
 from fej_slam_ros.core.geometry import Array, poses_at, rotation, Stamps, wrap
 from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan
 
@@ -94,8 +94,10 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
 
 
 def _sigmas(gains: Array, stamps: Stamps) -> float:
-    """Return gains (n,) in standard errors; they depend within blocks of time."""
+    """Return gains (n,), which depend within blocks of time, in standard errors; 0 if few."""
     of_blocks = np.bincount(blocks(stamps), gains)
+    if len(of_blocks) < MIN_BLOCKS:
+        return 0.0
     # A gain is that of an error squared, so that a few sharp turns would count for all.
     roots = np.sign(of_blocks) * np.sqrt(np.abs(of_blocks))
     return float(roots.sum() / np.sqrt(np.sum((roots - roots.mean()) ** 2)))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import median_filter
 
-from fej_slam_ros.core.geometry import Array, Stamps, wrap_all
+from fej_slam_ros.core.geometry import Array, Flags, Stamps, wrap_all
 from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
@@ -106,31 +106,44 @@ def _yaw(where: str, topic: OdometrySeries) -> Iterator[Finding]:
 
 
 def _covariances(where: str, topic: OdometrySeries, robot: str) -> Iterator[Finding]:
+    variances = np.array(topic.variances).reshape(-1, 3)
     # The first message has no increment.
-    later = np.array(topic.stamps) > min(topic.stamps, default=0)
-    variances = np.array(topic.variances).reshape(-1, 3)[later]
-    variances = variances[np.isfinite(variances).all(axis=1) & (variances >= 0.0).all(axis=1)]
-    unknown = ~variances.any(axis=1)
+    used = (np.array(topic.stamps) > min(topic.stamps, default=0)) & (
+        np.isfinite(variances).all(axis=1) & (variances >= 0.0).all(axis=1))
+    unknown = used & ~variances.any(axis=1)
     if unknown.any():
         yield warning(
             'unknown_covariance', where,
-            f'twist.covariance is zero in {unknown.sum()} of {len(variances)} messages: the'
+            f'twist.covariance is zero in {unknown.sum()} of {used.sum()} messages: the'
             ' parameter odometry_sigma is used',
             'fill the (vx, vy, wz) entries of twist.covariance, or calibrate odometry_sigma'
             ' (fej_slam calibrate, by ground truth or landmarks)', int(unknown.sum()))
-    known = variances[~unknown]
-    sigma = np.sqrt(known)
-    exact = int((known[:, 1] == 0.0).sum())
-    if exact:
+    known, exact = used & ~unknown, used & ~unknown & (variances[:, 1] == 0.0)
+    if exact.any():
         yield warning(
             'exact_odometry', where,
-            f'the variance of vy in twist.covariance is zero in {exact} of {len(variances)}'
+            f'the variance of vy in twist.covariance is zero in {exact.sum()} of {used.sum()}'
             ' messages, which smooth rejects',
             f'to smooth the bag, give vy a variance, or set {robot}.use_odometry_covariance to'
-            ' false, to use odometry_sigma', exact)
+            ' false, to use odometry_sigma', int(exact.sum()))
+    yield from _absurd(where, variances[known], _is_moving(topic)[known], robot)
+
+
+def _is_moving(topic: OdometrySeries) -> Flags:
+    """Return whether the pose of each message (n,) is another than that of the one before."""
+    steps = np.diff(np.array(topic.poses).reshape(-1, 3), axis=0, prepend=np.nan)
+    moving: Flags = (steps != 0.0).any(axis=1)
+    return moving
+
+
+def _absurd(
+    where: str, variances: Array, is_moving: Flags, robot: str
+) -> Iterator[Finding]:
+    """Yield variances (n, 3) that no odometry has; at rest, some drivers give almost none."""
+    sigma, smallest = np.sqrt(variances), np.array(MIN_SPEED_SIGMA)
     # A variance of zero is valid for vy: many robots cannot move sideways.
-    smallest = np.array(MIN_SPEED_SIGMA)
-    too_small = (sigma < smallest) & (np.array([True, False, True]) | (known > 0.0))
+    too_small = (sigma < smallest) & is_moving[:, None] & (
+        np.array([True, False, True]) | (variances > 0.0))
     for wrong, side, bounds in (
             (too_small, 'below', smallest),
             (sigma > MAX_SPEED_SIGMA, 'above', MAX_SPEED_SIGMA)):

@@ -57,6 +57,21 @@ def test_stamps_in_bursts_are_not_jumps():
     assert findings_of(0.1 * k, stamps) == []
 
 
+@pytest.mark.parametrize(('at_rest', 'driving', 'expected'), [
+    (1e-9, 1e-2, []), (1e-2, 1e-9, ['absurd_covariance']), (1e3, 1e-2, ['absurd_covariance'])])
+def test_a_robot_at_rest_may_be_almost_certain_of_its_speed(at_rest, driving, expected):
+    x = 0.05 * np.maximum(0.0, np.arange(100) - 50.0)
+    stamps = (np.arange(100) * NS // 10).tolist()
+    variances = [[driving if at > 0.0 else at_rest] * 3 for at in x.tolist()]
+
+    found = [*checked(OdometrySeries(
+        stamps, stamps, poses=[(at, 0.0, 0.0) for at in x.tolist()], variances=variances))]
+
+    assert [finding.name for finding in found] == expected
+    assert [finding.count for finding in found] == [49 if driving < at_rest == 1e-2 else 50][
+        :len(found)]
+
+
 def findings_on_a_drive(of_yaw, direction=0.0, dt=0.1):
     """Return the findings of a drive at 0.5 m/s in winding curves, with a wrong yaw."""
     t = dt * np.arange(1000)
