@@ -100,7 +100,8 @@ def _sigmas(gains: Array, stamps: Stamps) -> float:
         return 0.0
     # A gain is that of an error squared, so that a few sharp turns would count for all.
     roots = np.sign(of_blocks) * np.sqrt(np.abs(of_blocks))
-    return float(roots.sum() / np.sqrt(np.sum((roots - roots.mean()) ** 2)))
+    spread = np.sqrt(np.sum((roots - roots.mean()) ** 2))
+    return float(roots.sum() / spread) if spread > 0.0 else 0.0  # no spread: it stands still
 
 
 def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:

@@ -118,7 +118,8 @@ def _covariances(where: str, topic: OdometrySeries, robot: str) -> Iterator[Find
             ' parameter odometry_sigma is used',
             'fill the (vx, vy, wz) entries of twist.covariance, or calibrate odometry_sigma'
             ' (fej_slam calibrate, by ground truth or landmarks)', int(unknown.sum()))
-    known, exact = used & ~unknown, used & ~unknown & (variances[:, 1] == 0.0)
+    known = used & ~unknown
+    exact = known & (variances[:, 1] == 0.0)
     if exact.any():
         yield warning(
             'exact_odometry', where,

@@ -120,6 +120,14 @@ def test_the_gain_by_a_delay_tells_it_from_the_noise_of_coarse_odometry(late):
     assert fit.delay == pytest.approx(late, abs=0.08)
 
 
+def test_a_robot_that_stands_still_shows_no_delay():
+    _, scans = data(seconds=300.0)
+    still = [Odometry('r', t * NS // 10, np.zeros(3), None) for t in range(3000)]
+
+    with np.errstate(all='raise'):
+        assert fit_sensor(still, scans).delay_sigmas == 0.0
+
+
 def test_a_short_run_says_nothing_about_the_gain_by_a_delay():
     fit = fit_sensor(*data(late=0.2, noise=(1e-2, 1e-2, 6e-3)))
 
