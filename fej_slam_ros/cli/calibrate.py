@@ -209,10 +209,11 @@ def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
     for kind, estimate in estimates.items():
         scale = estimate.scales[''].scale
         if is_known(estimates, kind) and not 1.0 / MAX_USUAL < scale < MAX_USUAL:
+            invented = ', and for constants in twist.covariance' if kind == 'odometry' else ''
             yield (
-                f'{kind}_noise_scale {scale:.3g} is written, but noise is seldom wrong by more'
-                f' than a factor of {MAX_USUAL:g}: before you use it, check units, frames and'
-                ' sensor poses; doctor names some faults')
+                f'{kind}_noise_scale {scale:.3g} is written, but measured noise is seldom wrong by'
+                f' more than a factor of {MAX_USUAL:g}: before you use it, look for errors of'
+                f' units, frames and sensor poses{invented}; doctor names some')
     if found.matched.counts:
         yield matched_in_words(found.matched.counts)
     without_id = collector.statistics.total(RejectionReason.NO_IDENTITY)

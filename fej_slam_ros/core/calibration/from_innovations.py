@@ -25,6 +25,7 @@ from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.offline_matching import Received, steps
+from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import (
     MAX_LINEAR_HEADING_SIGMA, Odometry, PriorMap, Record, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -41,8 +42,6 @@ FILTER = 'invariant'
 FIRST_STEP, LAST_STEP = math.log(2.0), 0.1
 #: Tolerance of the log-likelihood: its decrease at one standard error from the maximum.
 LAST_DIFFERENCE = 0.5
-#: Largest factor, and inverse of the smallest.
-MAX_FACTOR = 100.0
 #: Maximum number of further searches, each without the outliers of the previous one.
 MAX_OUTLIER_ROUNDS = 4
 
@@ -137,7 +136,7 @@ class _Search:
 
     def cost(self, records: Iterable[Received], theta: Array) -> float:
         """Return the negative log-likelihood."""
-        if np.abs(theta).max() > math.log(MAX_FACTOR):
+        if np.abs(theta).max() > math.log(MAX_NOISE_SCALE):
             return math.inf
         cost = -log_likelihood(
             with_scales(self._ungated, self.scales(theta)), records, self._prior)

@@ -18,7 +18,8 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
-    clocks, frames, observations, odometry, rejections, sensors, team, timing, topics)
+    clocks, frames, observations, odometry, rejections, sensors, stated_noise, team, timing,
+    topics)
 from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
@@ -44,10 +45,12 @@ EFFECTS_OF_WRONG_STAMPS = {
 #: Findings that any error may explain.
 EFFECTS_OF_ERRORS = {RejectionReason.NOT_JOINED.value, 'restarted'}
 
-#: Errors of observations or stamps after which observations fit nothing, and what they explain.
-FAULTS_OF_OBSERVATIONS = {
-    team.EXCHANGED_TOPICS, sensors.DOES_NOT_MOVE, sensors.BEARINGS, timing.COARSE_STAMPS}
-EFFECTS_OF_OBSERVATIONS = {
+#: Errors of observations, stamps or odometry after which observations fit nothing, and what they
+#: explain.
+FAULTS_OF_FIT = {
+    team.EXCHANGED_TOPICS, sensors.DOES_NOT_MOVE, sensors.BEARINGS, timing.COARSE_STAMPS,
+    stated_noise.OPTIMISTIC_ODOMETRY}
+EFFECTS_ON_FIT = {
     'never_joins', 'does_not_fit', 'contradicted_id', 'inconsistent_noise'}
 
 #: Findings on odometry that explain the rejection of its motion.
@@ -153,8 +156,8 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
         explained |= EFFECTS_OF_WRONG_STAMPS
     if names['no_landmarks'] == robots:
         explained |= EFFECTS_OF_NO_LANDMARKS
-    if FAULTS_OF_OBSERVATIONS & errors:
-        explained |= EFFECTS_OF_OBSERVATIONS
+    if FAULTS_OF_FIT & errors:
+        explained |= EFFECTS_ON_FIT
     if errors:
         explained |= EFFECTS_OF_ERRORS
     # A detector that rejects all scans of a robot writes no landmarks.
@@ -189,6 +192,9 @@ def _check_messages(
                 topic, survey.observations(topic), not trial.estimator.groups.not_in_map)
     yield from rejections.check(survey, trial, estimation)
     yield from team.check(survey, trial, estimation)
+    if trial.failure is None:
+        for robot in estimation.robots:
+            yield from stated_noise.check(robot, survey.odometry(robot.name), trial)
 
 
 def _default_settings(path: Path, names: TopicNames, robots: Sequence[str]) -> RunSettings:

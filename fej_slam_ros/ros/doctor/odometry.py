@@ -7,13 +7,14 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import median_filter
 
+from fej_slam_ros.core.definiteness import are_definite
 from fej_slam_ros.core.geometry import Array, Flags, Stamps, wrap_all
 from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
-from fej_slam_ros.ros.session.input_health import MIN_SPEED_SIGMA
+from fej_slam_ros.ros.session.input_health import MAX_SPEED_SIGMA, MIN_SPEED_SIGMA
 
 #: Quantile of the speeds that is the usual maximum; the speeds above it may be jumps.
 USUAL_QUANTILE = 0.95
@@ -24,9 +25,6 @@ JUMP_FACTOR = 2.0
 JUMP_MARGIN = np.array([1.0, 2.0])
 #: Upper bound of the median speed [m/s, rad/s]; above it, units are wrong.
 MAX_MEDIAN_SPEED = np.array([50.0, 10.0])
-#: Standard deviations of vx, vy, wz [m/s, m/s, rad/s] above which odometry contributes nothing:
-#: drivers fill in variances of 1e3 or more where they know none.
-MAX_SPEED_SIGMA = np.array([30.0, 30.0, 30.0])
 #: Distance of a motion [m] whose direction is compared with the yaw, and minimum number of them.
 COMPARED_DISTANCE, MIN_COMPARED = 0.3, 30
 #: Factors by which a wrong yaw is multiplied.
@@ -106,7 +104,8 @@ def _yaw(where: str, topic: OdometrySeries) -> Iterator[Finding]:
 
 
 def _covariances(where: str, topic: OdometrySeries, robot: str) -> Iterator[Finding]:
-    variances = np.array(topic.variances).reshape(-1, 3)
+    covariances = np.array(topic.covariances).reshape(-1, 3, 3)
+    variances = np.einsum('nii->ni', covariances)
     # The first message has no increment.
     used = (np.array(topic.stamps) > min(topic.stamps, default=0)) & (
         np.isfinite(variances).all(axis=1) & (variances >= 0.0).all(axis=1))
@@ -127,6 +126,15 @@ def _covariances(where: str, topic: OdometrySeries, robot: str) -> Iterator[Find
             ' messages, which smooth rejects',
             f'to smooth the bag, give vy a variance, or set {robot}.use_odometry_covariance to'
             ' false, to use odometry_sigma', int(exact.sum()))
+    singular = known & (variances > 0.0).all(axis=1) & ~are_definite(covariances)
+    if singular.any():
+        yield error(
+            'singular_covariance', where,
+            f'vx, vy and wz in twist.covariance are fully correlated in {singular.sum()} of'
+            f' {used.sum()} messages, which smooth rejects',
+            'set the elements beside the diagonal to zero, or set'
+            f' {robot}.use_odometry_covariance to false, to use odometry_sigma',
+            int(singular.sum()))
     yield from _absurd(where, variances[known], _is_moving(topic)[known], robot)
 
 
@@ -147,7 +155,7 @@ def _absurd(
         np.array([True, False, True]) | (variances > 0.0))
     for wrong, side, bounds in (
             (too_small, 'below', smallest),
-            (sigma > MAX_SPEED_SIGMA, 'above', MAX_SPEED_SIGMA)):
+            (sigma > MAX_SPEED_SIGMA, 'above', np.full(3, MAX_SPEED_SIGMA))):
         if wrong.any():
             columns, messages = wrong.any(axis=0), int(wrong.any(axis=1).sum())
             yield error(

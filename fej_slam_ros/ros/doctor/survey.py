@@ -61,7 +61,7 @@ class OdometrySeries(TopicSeries):
     child_frames: Counter[str] = field(default_factory=Counter)  #: number of messages likewise
     #: x, y, yaw of each message, NaN where the quaternion is invalid
     poses: list[tuple[float, float, float]] = field(default_factory=list)
-    variances: list[list[float]] = field(default_factory=list)  #: of vx, vy and wz in each twist
+    covariances: list[Array] = field(default_factory=list)  #: (3, 3) of vx, vy, wz in each twist
 
     def increments(self) -> tuple[Stamps, Array]:
         """
@@ -92,7 +92,7 @@ class OdometrySeries(TopicSeries):
         p, q = message.pose.pose.position, message.pose.pose.orientation
         is_valid = abs(q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w - 1.0) < 0.5
         self.poses.append((p.x, p.y, from_quaternion(q.x, q.y, q.z, q.w) if is_valid else np.nan))
-        self.variances.append(np.diag(from_covariance(message.twist.covariance)).tolist())
+        self.covariances.append(from_covariance(message.twist.covariance))
 
 
 @dataclass(slots=True)

@@ -16,7 +16,6 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
-from fej_slam_ros.ros.session.estimator_reports import NIS_ERROR
 from fej_slam_ros.ros.session.input_health import are_repeated
 from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 
@@ -34,11 +33,6 @@ MIN_COMMON_IDS, MAX_DIFFERENCE = 5, 0.2
 #: Minimum number of IDs on <robot>/robots, and more than robots, that are those of landmarks.
 MIN_LANDMARK_IDS = 8
 EXCHANGED_TOPICS = 'exchanged_topics'
-#: Ranges of NIS/dof: outside the first the noise needs tuning, outside the second it is an error.
-NIS_RANGE = (0.2, 2.0)
-NIS_PLAUSIBLE_RANGE = (0.01, NIS_ERROR)
-#: Minimum degrees of freedom to judge NIS by.
-MIN_NIS_DOF = 40
 
 
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
@@ -63,7 +57,6 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
     for name in trial.estimator.robots:
         yield from _restarts(name, trial)
         yield from _contradictions(name, survey, trial)
-        yield from _nis(name, trial)
     moved = trial.estimator.groups.moved_landmarks()
     if moved:
         names = [f'{owner} {id_}'.strip() for owner, id_ in moved]
@@ -202,14 +195,3 @@ def _contradicted_ids(robot: str, survey: Survey, trial: Trial) -> Iterator[Find
             'check whether these landmark IDs are swapped or used twice, or the landmarks moved;'
             ' list tags on a robot in <robot>.tags of the adapter',
             len(wrong))
-
-
-def _nis(robot: str, trial: Trial) -> Iterator[Finding]:
-    nis = trial.estimator.innovations.nis[robot]
-    ratio = nis.total / nis.dof if nis.dof >= MIN_NIS_DOF else 1.0
-    if not NIS_RANGE[0] <= ratio <= NIS_RANGE[1]:
-        yield error_if(not NIS_PLAUSIBLE_RANGE[0] <= ratio <= NIS_PLAUSIBLE_RANGE[1])(
-            'inconsistent_noise', robot,
-            f'NIS/dof is {ratio:.3g} instead of 1: the covariances of its odometry or observations'
-            f' are too {"small" if ratio > 1.0 else "large"}',
-            'run fej_slam calibrate after correcting the other errors')

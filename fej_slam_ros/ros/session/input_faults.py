@@ -17,7 +17,8 @@ from typing import NamedTuple
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.input_health import (
-    EXACT_MESSAGES, InputHealth, MIN_GATE_SAMPLE, RobotHealth, UNMOVED_MESSAGES)
+    InputHealth, MAX_SPEED_SIGMA, MIN_GATE_SAMPLE, RobotHealth, UNMOVED_MESSAGES,
+    VARIANCE_MESSAGES)
 from fej_slam_ros.ros.session.topic_flow import RATE_WINDOW, TopicFlow
 from fej_slam_ros.ros.topic_types import MEASUREMENT_TOPICS, OBSERVATION_TOPICS, SENT_TOPICS
 
@@ -213,11 +214,19 @@ def _unmoved(given: RobotInput) -> Iterator[Fault]:
 
 
 def _exact_odometry(given: RobotInput) -> Iterator[Fault]:
-    if given.health.exact >= EXACT_MESSAGES:
+    if given.health.exact >= VARIANCE_MESSAGES:
         yield Fault(Level.WARN, (
             f'{given.topic("odom")} has almost no variance of vx or wz in twist.covariance, so'
             ' that observations hardly correct it: fill in vx, vy and wz, leave them zero, or set'
             f' {given.robot}.use_odometry_covariance to false'))
+
+
+def _unknown_odometry(given: RobotInput) -> Iterator[Fault]:
+    if given.health.unknown >= VARIANCE_MESSAGES:
+        yield Fault(Level.ERROR, (
+            f'{given.topic("odom")} has variances of vx, vy or wz above'
+            f' {MAX_SPEED_SIGMA ** 2:g} in twist.covariance, as if they were unknown: fill in all'
+            f' three, leave them zero, or set {given.robot}.use_odometry_covariance to false'))
 
 
 def _too_large(given: RobotInput) -> Iterator[Fault]:
@@ -290,8 +299,9 @@ def _delays_others(given: RobotInput) -> Iterator[Fault]:
 #: Each yields the faults of one kind.
 CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
     _other_type, _incompatible_qos, _no_odometry, _odometry_stopped, _no_observations,
-    _observations_stopped, _all_rejected, _other_clock, _unmoved, _exact_odometry, _too_large,
-    _too_frequent, _beyond_limits, _mostly_gated, _none_used, _delays_others)
+    _observations_stopped, _all_rejected, _other_clock, _unmoved, _exact_odometry,
+    _unknown_odometry, _too_large, _too_frequent, _beyond_limits, _mostly_gated, _none_used,
+    _delays_others)
 
 
 def _stopped(given: RobotInput, kind: str, what: str) -> str:

@@ -29,11 +29,14 @@ REPEATED_POSES, REPEATED_TIME = 5, 60 * NS
 #: Number of odometry messages in a row with one pose while the robot drives by their velocities,
 #: and speeds [m/s, rad/s] above which it drives; drivers may send a pose a few times.
 UNMOVED_MESSAGES, MIN_SPEEDS = 100, (0.05, 0.05)
-#: Number of odometry messages in a row whose motion is claimed to be almost exact.
-EXACT_MESSAGES = 100
+#: Number of odometry messages in a row whose variances are reported as implausible.
+VARIANCE_MESSAGES = 100
 #: Standard deviations of vx, vy and wz [m/s, m/s, rad/s] below which observations cannot correct
 #: the odometry: drivers fill in variances of 1e-9, or some of the variances only.
 MIN_SPEED_SIGMA = 1e-4, 1e-4, 4e-5
+#: Standard deviation of vx, vy or wz [m/s, m/s, rad/s] above which odometry contributes nothing:
+#: drivers fill in variances of 1e3 or more where they know none.
+MAX_SPEED_SIGMA = 30.0
 
 
 def are_repeated(stamps: Sequence[int]) -> bool:
@@ -129,6 +132,8 @@ class RobotHealth:
     unmoved: int = 0
     #: number of the latest odometry messages with velocities whose variances are almost zero
     exact: int = 0
+    #: number of the latest odometry messages whose variances are as those of unknown velocities
+    unknown: int = 0
     _pose: list[float] | None = None
     #: longest times [ns] by which the odometry was behind that of others: in the two periods
     #: before the last report, and since
@@ -148,11 +153,13 @@ class RobotHealth:
 
         """
         is_moving = any(abs(v) > least for v, least in zip(velocity, MIN_SPEEDS))
+        variances = [1.0, 1.0, 1.0] if Q is None else Q.diagonal().tolist()
         # Many robots cannot move sideways, and drivers may know a robot to be at rest.
-        if Q is None or all(Q[k, k] >= MIN_SPEED_SIGMA[k] ** 2 for k in (0, 2)):
+        if all(variances[k] >= MIN_SPEED_SIGMA[k] ** 2 for k in (0, 2)):
             self.exact = 0
         elif is_moving:
             self.exact += 1
+        self.unknown = self.unknown + 1 if max(variances) > MAX_SPEED_SIGMA ** 2 else 0
         newest = pose.tolist()
         if self._pose != newest:
             self._pose, self.unmoved = newest, 0

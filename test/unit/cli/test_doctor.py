@@ -140,6 +140,12 @@ FAULTS = {
     'odometry covariance tiny': (
         C, each('r2/odom', twist_covariance(lambda c: 1e-12 * np.eye(6).ravel())), 1,
         'absurd_covariance', 'r2/odom', 'variances'),
+    'odometry covariance of simulators': (
+        C, each('r1/odom r2/odom', twist_covariance(lambda c: 1e-5 * np.eye(6).ravel())), 1,
+        'optimistic_odometry', 'r2/odom', 'use_odometry_covariance'),
+    'odometry covariance with all elements': (
+        C, each('r2/odom', twist_covariance(lambda c: np.full(36, 0.1))), 1,
+        'singular_covariance', 'r2/odom', 'diagonal'),
     'odometry that cannot move sideways': (
         C, each('r1/odom', twist_covariance(at(7, 0.0))), 0, 'exact_odometry', 'r1/odom',
         'use_odometry_covariance'),

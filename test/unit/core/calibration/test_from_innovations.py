@@ -30,6 +30,16 @@ def test_factors_equal_those_of_the_simulation(seed):
     assert all(scale.is_known() for scale in found.values())
 
 
+def test_standard_deviations_far_too_small_have_their_factor_too():
+    # Some drivers fill in constants such as 1e-7 (m/s)^2.
+    records = received(claiming(simulated(1), {Odometry: 1.0 / 300.0}))
+
+    found = most_likely_scales(team(), records, ['odometry', 'landmark'])
+
+    assert error(found['odometry'], 300.0) < 4.0
+    assert found['odometry'].is_known()
+
+
 def test_correctly_stated_noise_has_factors_of_one():
     records = received(simulated(4, robot_sigma=[0.2, 0.2]))
 

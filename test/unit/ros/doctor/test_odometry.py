@@ -19,10 +19,10 @@ def findings_of(x, stamps=None):
     """Return the names of findings in odometry along x (n,), at 10 Hz by default."""
     if stamps is None:
         stamps = np.arange(len(x)) * NS // 10
-    variances = [[1e-2, 1e-2, 1e-3]] * len(x)
+    covariances = [np.diag([1e-2, 1e-2, 1e-3])] * len(x)
     return [finding.name for finding in checked(OdometrySeries(
         stamps.tolist(), stamps.tolist(), poses=[(at, 0.0, 0.0) for at in x.tolist()],
-        variances=variances))]
+        covariances=covariances))]
 
 
 def test_driving_after_a_minute_of_rest_is_not_a_jump():
@@ -44,7 +44,7 @@ def test_the_cure_of_a_jump_names_the_limits_by_which_a_recorded_one_is_used():
 
     (finding,) = checked(OdometrySeries(
         stamps, stamps, poses=[(at, 0.0, 0.0) for at in x.tolist()],
-        variances=[[1e-2, 1e-2, 1e-3]] * 100))
+        covariances=[np.diag([1e-2, 1e-2, 1e-3])] * 100))
 
     assert '<robot>.max_speed and <robot>.max_turn_rate' in finding.cure
 
@@ -62,10 +62,10 @@ def test_stamps_in_bursts_are_not_jumps():
 def test_a_robot_at_rest_may_be_almost_certain_of_its_speed(at_rest, driving, expected):
     x = 0.05 * np.maximum(0.0, np.arange(100) - 50.0)
     stamps = (np.arange(100) * NS // 10).tolist()
-    variances = [[driving if at > 0.0 else at_rest] * 3 for at in x.tolist()]
+    covariances = [(driving if at > 0.0 else at_rest) * np.eye(3) for at in x.tolist()]
 
     found = [*checked(OdometrySeries(
-        stamps, stamps, poses=[(at, 0.0, 0.0) for at in x.tolist()], variances=variances))]
+        stamps, stamps, poses=[(at, 0.0, 0.0) for at in x.tolist()], covariances=covariances))]
 
     assert [finding.name for finding in found] == expected
     assert [finding.count for finding in found] == [49 if driving < at_rest == 1e-2 else 50][
@@ -82,7 +82,8 @@ def findings_on_a_drive(of_yaw, direction=0.0, dt=0.1):
     stamps = (t * NS).astype(int).tolist()
     wrong = np.angle(np.exp(1j * of_yaw(yaw)))
     return [finding.what for finding in checked(OdometrySeries(
-        stamps, stamps, poses=[*zip(x, y, wrong)], variances=[[1e-2, 1e-2, 1e-3]] * 1000))]
+        stamps, stamps, poses=[*zip(x, y, wrong)],
+        covariances=[np.diag([1e-2, 1e-2, 1e-3])] * 1000))]
 
 
 # At 0.8 s, each step is longer than the compared distance.

@@ -331,3 +331,18 @@ def test_odometry_that_claims_to_be_exact_is_named(variances, speed, is_fault):
         ' observations hardly correct it: fill in vx, vy and wz, leave them zero, or set'
         ' r2.use_odometry_covariance to false'))]
         if is_fault else [])
+
+
+@pytest.mark.parametrize(('variances', 'is_fault'), [
+    # Of vy by a driver that does not know it, of wz by that of ROS 1, and of a coarse one.
+    ((1e-3, 1e6, 1e-2), True), ((1e-3, 1e-3, 1e3), True), ((100.0, 100.0, 10.0), False)])
+def test_variances_as_of_unknown_velocities_are_an_error(variances, is_fault):
+    case = flowing()
+    for k in range(200):
+        case.health.robots['r2'].receive_velocity(
+            np.array([0.1 * k, 0.0, 0.0]), (0.5, 0.0), np.diag(variances))
+
+    assert case.at(10 * S) == ([(ERROR, (
+        '/fleet/r2/odom has variances of vx, vy or wz above 900 in twist.covariance, as if they'
+        ' were unknown: fill in all three, leave them zero, or set r2.use_odometry_covariance to'
+        ' false'))] if is_fault else [])
