@@ -53,7 +53,8 @@ AVX512 void subtract_edge(
     __mmask8 of_rows = (__mmask8)((1 << rows) - 1), own[WIDTH];
     for (int j = 0; j < WIDTH; j++) {
         own[j] = j < columns ? of_rows & (__mmask8)(0xff << (is_lower ? j : 0)) : 0;
-        sum[j] = _mm512_maskz_loadu_pd(own[j], C + j * C_stride);
+        /* Access to memory with an empty mask is as slow as a fault. */
+        sum[j] = own[j] ? _mm512_maskz_loadu_pd(own[j], C + j * C_stride) : _mm512_setzero_pd();
     }
     for (Index l = 0; l < rank; l++)
         for (int j = 0; j < WIDTH; j++)
@@ -61,7 +62,8 @@ AVX512 void subtract_edge(
                 _mm512_maskz_loadu_pd(of_rows, A + l * A_stride),
                 _mm512_set1_pd(B[l * WIDTH + j]), sum[j]);
     for (int j = 0; j < WIDTH; j++)
-        _mm512_mask_storeu_pd(C + j * C_stride, own[j], sum[j]);
+        if (own[j])
+            _mm512_mask_storeu_pd(C + j * C_stride, own[j], sum[j]);
 }
 
 /* C -= A B^T of A (m, rank) and B (n, rank), rank <= MAX_RANK; or for the lower triangle of C. */
