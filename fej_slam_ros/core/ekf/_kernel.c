@@ -69,6 +69,16 @@ static PyObject *release(Arrays *a)
     return NULL;
 }
 
+/* Return a new reference to an object as an array of a type and flags, converted if needed. */
+static PyObject *as_array(PyObject *object, int type, int flags)
+{
+    PyArrayObject *array = (PyArrayObject *)object;
+    if (PyArray_Check(object) && PyArray_TYPE(array) == type && PyArray_ISNOTSWAPPED(array)
+            && PyArray_CHKFLAGS(array, flags) && !(flags & NPY_ARRAY_ENSURECOPY))
+        return Py_NewRef(object);
+    return PyArray_FROM_OTF(object, type, flags);
+}
+
 /*
  * Take the arguments of the given kinds; return whether it succeeded, with no array held if not.
  * In C order: v, d and b of double with one, two and three axes; i of Py_ssize_t with one, I with
@@ -101,7 +111,7 @@ static int take(Arrays *a, PyObject *const *arguments, Py_ssize_t given, const c
             flags = NPY_ARRAY_FARRAY;
         if (kinds[i] == 'c')
             flags = NPY_ARRAY_FARRAY | NPY_ARRAY_ENSURECOPY;
-        PyObject *array = PyArray_FROM_OTF(arguments[i], type, flags);
+        PyObject *array = as_array(arguments[i], type, flags);
         if (!array) {
             release(a);
             return 0;
@@ -371,7 +381,7 @@ static PyObject *settle(PyObject *module, PyObject *const *arguments, Py_ssize_t
 /* Copy an array of `size` numbers. */
 static void copy_numbers(PyObject *object, Py_ssize_t size, double *numbers)
 {
-    PyObject *array = PyArray_FROM_OTF(object, NPY_DOUBLE, NPY_ARRAY_CARRAY_RO);
+    PyObject *array = as_array(object, NPY_DOUBLE, NPY_ARRAY_CARRAY_RO);
     if (array && PyArray_SIZE((PyArrayObject *)array) != size)
         PyErr_Format(PyExc_ValueError, "arrays of %zd numbers expected", size);
     else if (array)

@@ -387,11 +387,12 @@ def test_arrays_of_other_shapes_are_refused(compiled, function, arguments):
     assert_array_equal(FULL, before)
 
 
-def test_arrays_of_whole_numbers_are_converted(compiled, rng):
+@pytest.mark.parametrize('dtype', [int, np.float32, np.dtype(float).newbyteorder()])
+def test_arrays_of_other_numbers_or_byte_order_are_converted(compiled, rng, dtype):
     x, u = rng.normal(size=(2, 3))
 
     assert_equal_results(
-        compiled.moved(x, u, np.eye(3, dtype=int)), numpy_kernel.moved(x, u, np.eye(3)))
+        compiled.moved(x, u, np.eye(3, dtype=dtype)), numpy_kernel.moved(x, u, np.eye(3)))
 
 
 def test_whole_numbers_in_an_observation_are_used():
