@@ -48,10 +48,10 @@ EFFECTS_OF_ERRORS = {RejectionReason.NOT_JOINED.value, 'restarted'}
 #: Errors of observations, stamps or odometry after which observations fit nothing, and what they
 #: explain.
 FAULTS_OF_FIT = {
-    team.EXCHANGED_TOPICS, sensors.DOES_NOT_MOVE, sensors.BEARINGS, timing.COARSE_STAMPS,
-    stated_noise.OPTIMISTIC_ODOMETRY}
+    team.EXCHANGED_TOPICS, sensors.DOES_NOT_MOVE, sensors.BEARINGS, *sensors.WRONG_POSES,
+    timing.COARSE_STAMPS, stated_noise.OPTIMISTIC_ODOMETRY}
 EFFECTS_ON_FIT = {
-    'never_joins', 'does_not_fit', 'contradicted_id', 'inconsistent_noise'}
+    'never_joins', team.DOES_NOT_FIT, 'contradicted_id', 'inconsistent_noise'}
 
 #: Findings on odometry that explain the rejection of its motion.
 FAULTS_OF_ODOMETRY = {'jump', 'speed'}
@@ -147,6 +147,7 @@ def _other_settings(given: Settings) -> Iterator[tuple[Finding, Settings]]:
 
 def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
     """Yield the findings on a number of robots that no other one explains."""
+    findings = [*_corrupting(findings)]
     names = Counter(finding.name for finding in findings)
     errors = {finding.name for finding in findings if finding.severity is Severity.ERROR}
     explained = {*EFFECTS_OF_TIME_JUMPS} if rejections.TIME_JUMP in names else set()
@@ -175,6 +176,16 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
     return (
         finding for finding in findings if finding.name not in explained
         and (finding.name, finding.where) not in explained_at)
+
+
+def _corrupting(findings: Sequence[Finding]) -> Iterator[Finding]:
+    """Yield the findings; poses of sensors are errors if observations of any robot do not fit."""
+    fits = not any(
+        finding.name == team.DOES_NOT_FIT and finding.severity is Severity.ERROR
+        for finding in findings)
+    for finding in findings:
+        is_error = finding.name in sensors.WRONG_POSES and not fits
+        yield replace(finding, severity=Severity.ERROR) if is_error else finding
 
 
 def _check_messages(

@@ -62,6 +62,8 @@ DOUBTFUL_CONDITIONS = {'scan_times', 'scan_stamp'}
 FRAME_CONDITION = 'laser_frame'
 #: Findings after which observations fit nothing.
 DOES_NOT_MOVE, BEARINGS = 'does_not_move', 'bearings'
+#: Findings on where a sensor is and how it is turned.
+WRONG_POSES = {'sensor_pose', 'sensor_mirrored'}
 #: How the scans of each robot agree with its odometry, None if there are too few.
 Fits = Mapping[str, SensorFit | None]
 #: What scans of a laser, and observations of landmarks, need where they are wrong.
@@ -74,8 +76,10 @@ CURES = {
     'landmarks': (
         ('give x (ahead) and y (left) from the robot, not in map, and not of what it carries; if'
          ' it stood still, check its odometry'),
-        'give y to the left, as in all frames of ROS, or set mirrored_axis of the adapter',
-        'correct the static transform of the sensor or its sensor_pose',
+        ('give y to the left, as in all frames of ROS, correct the roll of a camera, or set'
+         ' mirrored_axis of the adapter'),
+        ('correct the static transform of the sensor or its sensor_pose: of a camera, that of its'
+         ' optical frame, z ahead, x right and y down'),
         ('stamp observations with the time of the scan or image, not with that of its processing,'
          ' or set sensor_delay of the robot to this time, and max_delay to more'))}
 

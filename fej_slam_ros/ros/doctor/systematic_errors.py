@@ -38,8 +38,8 @@ def check(
             'systematic_errors', f'{robot.name}/odom',
             'by the landmarks that it observes, odometry has '
             + ', '.join(text for text, wrong in zip(texts, is_wrong) if wrong),
-            'run fej_slam calibrate; check the radius of wheels, their distance, and the units of'
-            ' ranges', errors.odometry.samples)
+            'run fej_slam calibrate; check the radius of wheels, their distance, the units of'
+            ' ranges and the pitch of a camera', errors.odometry.samples)
     turned = errors.observations.values[1] - robot.observation_bearing_bias
     if errors.observations.is_known[1] and abs(turned) > REPORTED_BEARING:
         yield warning(

@@ -33,6 +33,7 @@ MIN_COMMON_IDS, MAX_DIFFERENCE = 5, 0.2
 #: Minimum number of IDs on <robot>/robots, and more than robots, that are those of landmarks.
 MIN_LANDMARK_IDS = 8
 EXCHANGED_TOPICS = 'exchanged_topics'
+DOES_NOT_FIT = 'does_not_fit'
 
 
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
@@ -171,7 +172,7 @@ def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Findin
     is_wrong = bool(lost) or gated > MAX_PARTLY_GATED_SHARE
     if lost or gated > MAX_GATED_SHARE:
         yield error_if(is_wrong)(
-            'does_not_fit', robot,
+            DOES_NOT_FIT, robot,
             f'{100 * gated:.0f} % of its observations of mapped landmarks contradict the map'
             + (f', likely lost: {lost}' if lost else ''),
             'check IDs, stamps, sensor_pose, the size of tags, the covariance of odometry, and x'

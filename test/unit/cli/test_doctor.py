@@ -14,7 +14,7 @@ from fej_slam_ros.ros.session.rejection_cures import CURES
 from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, exchanged, floating_ids, framed,
     in_degrees, in_map, in_whole_seconds, kept, looped, moved, NS, of_type_pose, out_of_order,
-    planted, recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose,
+    planted, positions, recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose,
     with_poses, without)
 from helpers.ros import run_verb, write_bag, write_parameters
 
@@ -176,8 +176,9 @@ FAULTS = {
         x=lambda x: 1e3 * x, y=lambda y: 1e3 * y)),
                     1, 'range', 'r1/landmarks', 'metres'),
     'odometry in millimetres': (C, each('r1/odom', scaled(1e3)), 1, 'speed', 'r1/odom', 'metres'),
-    'y to the right': (R, each('p/landmarks', columns(y=lambda y: -y)), 1, 'does_not_fit', 'p',
-                       'left'),
+    'y to the right': (
+        R, each('p/landmarks', columns(y=lambda y: -y)), 1, 'sensor_mirrored', 'p/landmarks',
+        'left'),
     'observations in map': (
         R, in_map('p/landmarks'), 1, 'does_not_move', 'p/landmarks', 'not in map'),
     'bearings in degrees': (
@@ -353,20 +354,39 @@ def test_landmark_ids_that_are_not_shared_are_recognised(doctor, tmp_path):
     assert 'set the parameter shared_landmark_ids to false' in printed.out
 
 
-def test_maps_that_agree_are_not_said_to_have_other_ids(doctor, tmp_path):
-    # Late stamps turn the maps of robots on circles, which contradicts their robot observations.
+def observing_each_other(tmp_path):
+    """Return a bag of two robots that are observed precisely, and the parameters for it."""
     world = write_parameters(
         tmp_path / 'world.yaml', steps_per_loop=200, loops=1, rate=10.0, landmarks=40, seed=3,
         odometry_sigma=[0.01, 0.01, 0.003], landmark_sigma=[0.05, 0.05],
         robot_sigma=[0.05, 0.05])
     run_verb('simulate', '--params', world, '--output', tmp_path / 'bag')
+    return tmp_path / 'bag', write_parameters(tmp_path / 'team.yaml', robots=['r1', 'r2'])
+
+
+def test_maps_that_agree_are_not_said_to_have_other_ids(doctor, tmp_path):
+    # Late stamps turn the maps of robots on circles, which contradicts their robot observations.
+    bag, params = observing_each_other(tmp_path)
     late = each('r1/landmarks r2/landmarks', lambda e: shifted(e, 0.4, log=True))
 
     _, found, _ = doctor(
-        planted(tmp_path / 'late', late(entries(tmp_path / 'bag'))),
-        '--params', write_parameters(tmp_path / 'team.yaml', robots=['r1', 'r2']))
+        planted(tmp_path / 'late', late(entries(bag))), '--params', params)
 
     assert 'wrong_ids' not in [f['name'] for f in found]
+
+
+@pytest.mark.parametrize('degrees', [30, 180])
+def test_a_camera_that_is_turned_is_named_and_not_what_it_causes(doctor, tmp_path, degrees):
+    bag, params = observing_each_other(tmp_path)
+    turn = each('r1/landmarks', lambda e: positions(
+        e, lambda z: z * np.exp(1j * np.radians(degrees))))
+
+    status, found, _ = doctor(
+        planted(tmp_path / 'turned', turn(entries(bag))), '--params', params)
+
+    assert status == 1
+    assert [(f['severity'], f['name'], f['where']) for f in found] == [
+        ('error', 'sensor_pose', 'r1/landmarks')]
 
 
 @pytest.mark.parametrize(('unseen', 'start', 'sigma', 'name', 'status'), [
