@@ -164,7 +164,8 @@ def _restarts(robot: str, trial: Trial) -> Iterator[Finding]:
             'restarted', robot,
             f'it restarted in its own frame {counted(count, "time")}, the last one:'
             f' {statistics.restart_reasons[robot]}',
-            f'check {robot}.start_pose and {robot}.start_sigma, and its odometry there', count)
+            f'check its odometry there, and {robot}.start_pose and {robot}.start_sigma if given',
+            count)
 
 
 def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]:

@@ -53,7 +53,8 @@ CURES: dict[Reason, tuple[str, str]] = {
     Reason.LATE: (
         'message after later ones were processed', 'raise max_delay (now {max_delay:g} s)'),
     Reason.FUTURE: (
-        'stamp beyond future_limit', 'set the clock of the robot, or use_sim_time in simulation'),
+        'stamp beyond future_limit',
+        'set the clock of the robot, or use_sim_time in simulation; raise future_limit for a bag'),
     Reason.BEFORE_TIME_JUMP: (
         'message from before a time jump', 'record without playing in a loop'),
     Reason.UNKNOWN_ROBOT: (
