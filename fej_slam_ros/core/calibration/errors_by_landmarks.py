@@ -24,8 +24,7 @@ from fej_slam_ros.core.calibration.observation_errors import given_observations
 from fej_slam_ros.core.calibration.odometry_errors import given_odometry, scatter
 from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, ObservationPairs
 from fej_slam_ros.core.calibration.shown_errors import (
-    blocks, ErrorEstimate, ErrorFit, ErrorLimits, MIN_BLOCKS, MIN_FIT_PAIRS, MIN_SIGMAS,
-    shown_errors)
+    blocks, ErrorEstimate, ErrorFit, ErrorLimits, MIN_SIGMAS, shown_errors, suffice)
 from fej_slam_ros.core.geometry import Array, Flags, Stamps
 from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.records import NS, Odometry, Scan
@@ -70,15 +69,22 @@ def fit_to_landmarks(
         odometry, [without_systematic_errors(scan, ranges_only) for scan in scans],
         MAX_LANDMARK_TIME)
     stamps = pairs.stamps[0]
-    if len(stamps) < MIN_FIT_PAIRS or len(np.unique(blocks(stamps))) < MIN_BLOCKS:
+    if not suffice(stamps):
         return None
     fitted = partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs))
-    found = shown_errors(fitted, LIMITS, stamps, np.append(given_odometry(robot), given[1]))
-    bearing = found.part(slice(3, 4))
-    return ErrorsByLandmarks(found.part(slice(3)), ErrorEstimate(
-        np.append(given[0], bearing.values), np.append(np.inf, bearing.sigma),
+    found, of_all = shown_errors(
+        fitted, LIMITS, stamps, np.append(given_odometry(robot), given[1]))
+    return ErrorsByLandmarks(
+        found.part(slice(3)), _with_range_scale(given[0], found.part(slice(3, 4))),
+        _shown_position(of_all, stamps))
+
+
+def _with_range_scale(given: float, bearing: ErrorEstimate) -> ErrorEstimate:
+    """Return the errors of observations: the range scale as given, and the bearing bias."""
+    return ErrorEstimate(
+        np.append(given, bearing.values), np.append(np.inf, bearing.sigma),
         np.append(False, bearing.is_known), np.append(False, bearing.is_at_limit),
-        bearing.samples), _shown_position(fitted(LIMITS.none, np.ones(4, bool)), stamps))
+        bearing.samples)
 
 
 def _shown_position(fit: ErrorFit, stamps: Stamps) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from fej_slam_ros.core.calibration.offset_regression import Complex, regression
 from fej_slam_ros.core.calibration.shown_errors import (
-    BLOCK_TIME, ErrorEstimate, ErrorLimits, MIN_BLOCKS, MIN_FIT_PAIRS)
+    blocks, ErrorEstimate, ErrorLimits, suffice)
 from fej_slam_ros.core.calibration.team_records import NearTruth
 from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.records import AnyScan, Observation
@@ -85,17 +85,16 @@ def fit_observations(
 
     """
     positions = _positions(scans, landmarks, near)
-    blocks, block = np.unique(positions.stamps // BLOCK_TIME, return_inverse=True)
-    if len(positions.stamps) < MIN_FIT_PAIRS or len(blocks) < MIN_BLOCKS:
+    if not suffice(positions.stamps):
         return None
     fit = regression(positions.equations, positions.weights)
     if fit is None:
         return None
-    of_blocks = np.zeros(len(blocks), complex)
-    np.add.at(of_blocks, block, fit.relative)
     # Errors within a block may depend on each other.
+    block = blocks(positions.stamps)
     sigma = [
-        max(fit.sigma, float(np.linalg.norm(part(of_blocks)))) for part in (np.real, np.imag)]
+        max(fit.sigma, float(np.linalg.norm(np.bincount(block, part))))
+        for part in (fit.relative.real, fit.relative.imag)]
     scale = 1.0 / abs(fit.c)
     return _significant(
         np.array([scale, np.angle(fit.c)]),

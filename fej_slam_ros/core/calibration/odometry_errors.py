@@ -49,9 +49,10 @@ def fit_to_truth(motions: TrueMotions, given: Array) -> ErrorEstimate:
     # Metres and radians are made comparable by the residuals of a first fit.
     first = _least(lambda values: errors(values).ravel(), LIMITS.none, np.ones(3, bool))
     spread = SIGMA_PER_MEDIAN * np.median(np.abs(errors(first.x)), axis=0)
-    return shown_errors(
+    shown, _ = shown_errors(
         partial(_least, lambda values: (errors(values) / np.maximum(spread, 1e-6)).ravel()),
         LIMITS, motions.firsts, given)
+    return shown
 
 
 def _least(residuals: Residuals, fixed: Array, free: Flags) -> ErrorFit:

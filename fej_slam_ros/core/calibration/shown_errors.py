@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, Flags, Indices, Stamps
 from fej_slam_ros.core.records import NS
 
-#: Minimum number of pairs of true poses or of observations.
+#: Minimum number of observations, or of pairs of them, for a fit.
 MIN_FIT_PAIRS = 60
 #: Length [ns] of the blocks within which residuals count as dependent, since pairs share odometry,
 #: and minimum number of blocks.
@@ -97,6 +97,11 @@ def blocks(stamps: Stamps) -> Indices:
     return np.unique(stamps // BLOCK_TIME, return_inverse=True)[1]
 
 
+def suffice(stamps: Stamps) -> bool:
+    """Return whether pairs at stamps (n,) [ns] are enough for a fit, and in enough blocks."""
+    return len(stamps) >= MIN_FIT_PAIRS and len(np.unique(stamps // BLOCK_TIME)) >= MIN_BLOCKS
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ErrorEstimate:
     """Estimate of n errors."""
@@ -116,28 +121,35 @@ class ErrorEstimate:
 
 def shown_errors(
     fitted: Callable[[Array, Flags], ErrorFit], limits: ErrorLimits, stamps: Stamps, given: Array
-) -> ErrorEstimate:
+) -> tuple[ErrorEstimate, ErrorFit]:
     """
-    Return the errors that the data show; those not determined are as `given`, a (n,) array.
+    Return the errors that the data show, and the fit of all errors.
 
-    `fitted` returns a fit by the errors, of which some are free, and by which these are. It has as
-    many residuals of each pair, in the order of the `stamps` [ns] of the pairs. Of two errors that
-    are the same in the data, the first counts.
+    Of two errors that are the same in the data, the first counts.
+
+    Parameters
+    ----------
+    fitted : returns the fit, given values (n,) of the errors and which of them are free; it has as
+        many residuals of each pair, in the order of `stamps`
+    limits : limits of the errors
+    stamps : (k,) array, stamps of the pairs [ns]
+    given : (n,) array, errors where the data do not determine them
 
     """
     block, n = blocks(stamps), len(given)
-    free, fixed, of_all = np.ones(n, bool), limits.none.copy(), np.empty(0)
+    free, fixed = np.ones(n, bool), limits.none.copy()
     is_known, is_at_limit = np.ones(n, bool), np.zeros(n, bool)
+    of_all = fit = fitted(fixed, free)
     while True:
-        fit = fitted(fixed, free)
         x = fit.x[:n]
         of_independent, sigma = (errors[:n] for errors in fit.standard_errors(block))
-        of_all = sigma if free.all() else of_all
         known, shown, at_limit = limits.judged(x, sigma)
         hidden = np.flatnonzero(free & ~shown)
         if not len(hidden):
-            return ErrorEstimate(x, of_all, is_known, is_at_limit, len(stamps))
+            _, sigma = of_all.standard_errors(block)
+            return ErrorEstimate(x, sigma[:n], is_known, is_at_limit, len(stamps)), of_all
         k = hidden[-1]
         free[k], is_known[k] = False, known[k]
         fixed[k] = limits.none[k] if known[k] else given[k]
         is_at_limit[k] = at_limit[k] and of_independent[k] < limits.max_standard_error[k]
+        fit = fitted(fixed, free)
