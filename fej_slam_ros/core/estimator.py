@@ -124,7 +124,7 @@ class Estimator(TeamInput[StepResult]):
         for name in self.robots:
             if name not in before:
                 self.innovations.nis.setdefault(name, NisMonitor())
-                self.groups.not_in_map[name] = 'it sent no odometry'
+                self.groups.not_in_map[name] = 'it sent no usable odometry'
 
     def resume(self) -> None:
         """Continue from a checkpoint; input from before it may be sent again."""

@@ -121,8 +121,8 @@ def test_a_robot_relocalizes_on_request_and_a_replay_does_the_same(domain, tmp_p
 
 
 @pytest.mark.parametrize(('robot', 'values', 'reason'), [
-    ('r2', {}, 'r2 is not in map: it sent no odometry'),
-    ('r1', {'robots': ['r1']}, 'r1 is not in map: it sent no odometry')])
+    ('r2', {}, 'r2 is not in map: it sent no usable odometry'),
+    ('r1', {'robots': ['r1']}, 'r1 is not in map: it sent no usable odometry')])
 def test_a_request_that_changes_nothing_is_answered_with_the_reason(domain, robot, values, reason):
     domain.estimate(**TEAM | values)
 

@@ -211,7 +211,7 @@ def test_a_robot_without_odometry_is_reported():
     estimator, _ = run(
         team(), odometry('r1', 0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
 
-    assert estimator.groups.not_in_map == {'r2': 'it sent no odometry'}
+    assert estimator.groups.not_in_map == {'r2': 'it sent no usable odometry'}
 
 
 @pytest.mark.parametrize('first', [0, 200])

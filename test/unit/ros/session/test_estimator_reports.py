@@ -81,7 +81,7 @@ def test_the_rate_refers_to_the_time_since_the_last_report():
 def test_the_reason_is_reported_for_a_robot_that_is_not_in_the_map():
     report = report_of(raw_record(odometry('r1', 0)))
 
-    assert report['r2'][:2] == (WARN, 'r2 not joined: it sent no odometry')
+    assert report['r2'][:2] == (WARN, 'r2 not joined: it sent no usable odometry')
 
 
 @pytest.mark.parametrize('observer', ['r1', 'r2', None])
