@@ -190,8 +190,13 @@ def distinct(indices: Indices) -> Indices:
     return ascending[np.diff(ascending, prepend=-1) > 0]
 
 
+def starts_of(lengths: Indices) -> Indices:
+    """Return where runs of some lengths start, each at the end of the one before."""
+    starts: Indices = np.cumsum(lengths) - lengths
+    return starts
+
+
 def runs(starts: Indices, lengths: Indices) -> Indices:
     """Return the concatenated ranges start, ..., start + length - 1."""
-    ends = np.cumsum(lengths)
-    runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - (ends - lengths), lengths)
+    runs: Indices = np.arange(lengths.sum()) + np.repeat(starts - starts_of(lengths), lengths)
     return runs

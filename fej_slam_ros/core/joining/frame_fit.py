@@ -19,7 +19,8 @@ from fej_slam_ros.core.ekf.covariance import joint_indices
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, POSITION, position_indices, RendezvousPoint, Robot, Variable, Variables)
 from fej_slam_ros.core.geometry import (
-    Array, compose, inverse, perpendicular, poses_plus, rigid_fit, transform, wrap_all)
+    Array, compose, inverse, perpendicular, poses_plus, rigid_fit, starts_of, transform,
+    wrap_all)
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
 #: The iteration ends with a step below this [m, rad].
@@ -40,7 +41,7 @@ class StackedVariables:
         #: (n,) array, the states of x in the joint state of the frame
         self.indices = joint_indices([variable.slot for variable in variables])
         sizes = np.array([variable.slot.size for variable in variables], np.intp)
-        starts = np.cumsum(sizes) - sizes
+        starts = starts_of(sizes)
         # Where in x the positions (k, 2) and the headings are.
         self._positions = starts[:, None] + POSITION
         self._headings = starts[sizes == POSE_SIZE] + 2

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csc_array
 
-from fej_slam_ros.core.geometry import Array, distinct, Indices, runs
+from fej_slam_ros.core.geometry import Array, distinct, Indices, runs, starts_of
 
 #: Maximum number of elements of the fronts that are computed together: 16 MB for each of a few.
 MAX_ELEMENTS = 2_000_000
@@ -100,8 +100,7 @@ class _Fronts:
             minlength=m).astype(np.intp)
         self.heights = sizes + self.linked
         self._sizes = sizes
-        self._first_rows = np.cumsum(sizes) - sizes
-        self._begins = np.cumsum(self.heights) - self.heights
+        self._first_rows, self._begins = starts_of(sizes), starts_of(self.heights)
         below = runs(self._begins + sizes, self.linked)
         self._rows = np.empty(int(self.heights.sum()), np.intp)
         self._rows[runs(self._begins, sizes)] = np.arange(u)
@@ -129,7 +128,7 @@ class _Fronts:
         column = np.repeat(np.arange(L.shape[1]), np.diff(L.indptr))
         block = np.repeat(np.arange(len(self._sizes)), self._sizes)[column]
         counts = self.heights * self._sizes
-        begins, elements = np.cumsum(counts) - counts, np.zeros(int(counts.sum()))
+        begins, elements = starts_of(counts), np.zeros(int(counts.sum()))
         place = self._places(block, L.indices)
         elements[
             begins[block] + self._sizes[block] * place + column - self._first_rows[block]] = L.data

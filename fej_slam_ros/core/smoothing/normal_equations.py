@@ -17,7 +17,7 @@ from scipy.sparse import csc_array, dia_array
 from scipy.sparse.linalg import splu, SuperLU
 
 from fej_slam_ros.core.gauss_newton import SingularError
-from fej_slam_ros.core.geometry import Array, distinct, Indices, runs
+from fej_slam_ros.core.geometry import Array, distinct, Indices, runs, starts_of
 from fej_slam_ros.core.smoothing.inverse_blocks import inverse_blocks, InverseBlocks
 
 #: Smallest ratio of a pivot to its diagonal entry; below it the pivot is a rounded zero.
@@ -51,12 +51,12 @@ class NormalEquations:
             have one size
 
         """
-        self._order = _elimination_order(len(sizes), free, links)
-        self._rank = np.full(len(sizes), -1)
-        self._rank[self._order] = np.arange(len(self._order))
-        starts = np.cumsum(sizes) - sizes
-        self.coordinates = runs(starts[self._order], sizes[self._order])
-        self._pattern(sizes, links)
+        order = _elimination_order(len(sizes), free, links)
+        rank = np.full(len(sizes), -1)
+        rank[order] = np.arange(len(order))
+        self._pattern = _BlockPattern(sizes[order], *_linked(links, rank))
+        starts = starts_of(sizes)
+        self.coordinates = runs(starts[order], sizes[order])
         unknown = np.full(sizes.sum(), len(self.coordinates))
         unknown[self.coordinates] = np.arange(len(self.coordinates))
         self._unknowns = [
@@ -64,19 +64,20 @@ class NormalEquations:
                 starts[end][:, None] + np.arange(sizes[end[0]]) for end in ends])]
             for ends in links]
         self._positions = [
-            np.concatenate([
-                np.concatenate([self._blocks(a, b, sizes) for b in ends], axis=2)
-                for a in ends], axis=1)
+            np.block([[
+                self._pattern.positions(rank[a], rank[b], sizes[a[0]], sizes[b[0]])
+                for b in ends] for a in ends])
             for ends in links]
 
     def matrix(self, blocks: Sequence[Array]) -> csc_array:
         """Return A^T A (u, u) from the whitened Jacobians (k, d, c) of each kind."""
-        data = np.zeros(len(self._rows) + 1)
+        data = np.zeros(len(self._pattern.rows) + 1)
         for A, positions in zip(blocks, self._positions):
             data += np.bincount(
                 positions.ravel(), (A.transpose(0, 2, 1) @ A).ravel(), minlength=len(data))
         u = len(self.coordinates)
-        return csc_array((data[:-1], self._rows, self._columns), shape=(u, u))
+        return csc_array(
+            (data[:-1], self._pattern.rows, self._pattern.columns), shape=(u, u))
 
     def right_side(self, blocks: Sequence[Array], residuals: Sequence[Array]) -> Array:
         """Return A^T b (u,) from the Jacobians (k, d, c) and residuals (k, d) of each kind."""
@@ -86,34 +87,53 @@ class NormalEquations:
                 unknowns.ravel(), np.einsum('kdc,kd->kc', A, b).ravel(), minlength=len(g))
         return g[:-1]
 
-    def _pattern(self, sizes: Indices, links: Links) -> None:
-        """Lay out the compressed columns, a block for each pair of linked nodes."""
-        m = len(self._order)
-        a, b = _linked(links, self._rank)
-        # Sorted by column, then by row.
+
+class _BlockPattern:
+    """
+    Compressed columns of a symmetric matrix with a dense block for each pair of linked nodes.
+
+    All columns of a node have the same rows: its own, and those of the nodes it is linked to.
+
+    Attributes
+    ----------
+    rows : (e,) array, row of each element, column by column
+    columns : (u + 1,) array, position of the first element of each column, and e
+
+    """
+
+    def __init__(self, sizes: Indices, a: Indices, b: Indices) -> None:
+        """Lay out nodes of some sizes (m,), and the links between nodes a and b (k,)."""
+        m = len(sizes)
+        # One key for each block, sorted by the node of its columns, then by that of its rows.
         self._keys = distinct(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
         column, row = np.divmod(self._keys, m)
-        ordered_sizes = sizes[self._order]
-        self._heights = np.bincount(column, ordered_sizes[row], minlength=m).astype(np.intp)
-        begin = np.cumsum(ordered_sizes[row]) - ordered_sizes[row]
-        self._offsets = begin - (np.cumsum(self._heights) - self._heights)[column]
-        self._bases = np.cumsum(self._heights * ordered_sizes) - self._heights * ordered_sizes
-        self._columns = np.concatenate([[0], np.cumsum(np.repeat(self._heights, ordered_sizes))])
-        # All columns of a node have the same rows.
-        rows = runs((np.cumsum(ordered_sizes) - ordered_sizes)[row], ordered_sizes[row])
-        firsts = np.repeat(np.cumsum(self._heights) - self._heights, ordered_sizes)
-        self._rows = rows[runs(firsts, np.repeat(self._heights, ordered_sizes))]
+        block_heights = sizes[row]
+        #: by node: number of elements in each of its columns, and position of the first
+        self._heights = np.bincount(column, block_heights, minlength=m).astype(np.intp)
+        self._firsts = starts_of(self._heights * sizes)
+        first_rows = starts_of(self._heights)
+        #: by block: number of elements above it in each of its columns
+        self._above = starts_of(block_heights) - first_rows[column]
+        heights = np.repeat(self._heights, sizes)
+        self.columns = np.concatenate([[0], np.cumsum(heights)])
+        rows_of_nodes = runs(starts_of(sizes)[row], block_heights)
+        self.rows = rows_of_nodes[runs(np.repeat(first_rows, sizes), heights)]
 
-    def _blocks(self, row: Indices, column: Indices, sizes: Indices) -> Indices:
-        """Return the positions (k, r, c) of the blocks of k rows and columns of nodes."""
-        i, j = self._rank[row], self._rank[column]
-        entry = np.minimum(
-            np.searchsorted(self._keys, j * len(self._order) + i), len(self._keys) - 1)
-        first = self._bases[j] + self._offsets[entry]
-        down, right = np.arange(sizes[row[0]]), np.arange(sizes[column[0]])
+    def positions(self, i: Indices, j: Indices, height: int, width: int) -> Indices:
+        """
+        Return the positions (k, height, width) of the elements of some blocks.
+
+        Block k has the rows of node i and the columns of node j, (k,) arrays. The position is e
+        where one of the two is -1, a node that is not in the matrix.
+
+        """
+        block = np.minimum(
+            np.searchsorted(self._keys, j * len(self._heights) + i), len(self._keys) - 1)
+        first = self._firsts[j] + self._above[block]
+        down, right = np.arange(height), np.arange(width)
         positions: Indices = (
             first[:, None, None] + down[:, None] + self._heights[j][:, None, None] * right)
-        positions[(i < 0) | (j < 0)] = len(self._rows)
+        positions[(i < 0) | (j < 0)] = len(self.rows)
         return positions
 
 

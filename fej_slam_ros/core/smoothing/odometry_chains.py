@@ -23,7 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.gauss_newton import SingularError
-from fej_slam_ros.core.geometry import Array, compose, Flags, Indices, wrap_all
+from fej_slam_ros.core.geometry import (
+    Array, compose, Flags, Indices, runs, starts_of, wrap_all)
 from fej_slam_ros.core.models import Phi_all
 
 #: Rows and columns of the elements of a symmetric matrix (3, 3), and the element at each place.
@@ -93,9 +94,8 @@ class OdometryChains:
         lengths = np.diff(firsts, append=len(rows))
         by_length = np.argsort(lengths, kind='stable')
         firsts, lengths = firsts[by_length], lengths[by_length]
-        moved_to = np.cumsum(lengths) - lengths
-        rows = rows[np.arange(len(rows)) + np.repeat(firsts - moved_to, lengths)]
-        return cls(rows, moved_to, begins[rows], ends[rows])
+        rows = rows[runs(firsts, lengths)]
+        return cls(rows, starts_of(lengths), begins[rows], ends[rows])
 
     @property
     def lasts(self) -> Indices:
