@@ -49,33 +49,66 @@ def inverse_blocks(
     sizes : (m,) array, number of rows of each block; blocks are dense
 
     """
-    fronts = _Fronts(pattern, sizes)
+    fronts, inverses = _Fronts(pattern, sizes), _InversesOfLevel(len(sizes))
     columns = fronts.columns(L)
-    above, at = np.empty(0), np.zeros(len(sizes), np.intp)  # fronts of the level above
     for level in fronts.levels():
-        below, size = [np.empty(0)], 0
         for group in level:
-            w, r = int(sizes[group[0]]), int(fronts.linked[group[0]])
-            L_j = columns.of(group, w + r, w)
-            L_inv = np.linalg.inv(L_j[:, :w])
-            rows = fronts.rows(group)
-            Z = L_inv.transpose(0, 2, 1) @ (L_inv / pivots[rows[:, :w], None])
-            i, height = fronts.in_parent(group), fronts.heights[fronts.parents[group]]
-            Z_SS = above[
-                at[fronts.parents[group], None, None]
-                + i[:, :, None] * height[:, None, None] + i[:, None, :]]
-            B = L_j[:, w:] @ L_inv
-            Z_linked = -Z_SS @ B
-            Z = Z - B.transpose(0, 2, 1) @ Z_linked
+            w, rows, parents = int(sizes[group[0]]), fronts.rows(group), fronts.parents[group]
+            Z_SS = inverses.among(parents, fronts.heights[parents], fronts.in_parent(group))
+            Z, Z_linked = _inverse_columns(
+                columns.of(group, rows.shape[1], w), pivots[rows[:, :w]], Z_SS)
             yield InverseBlocks(group, Z, rows[:, w:], Z_linked)
             inner = fronts.is_parent[group]
-            front = np.concatenate([
-                np.concatenate([Z[inner], Z_linked[inner].transpose(0, 2, 1)], axis=2),
-                np.concatenate([Z_linked[inner], Z_SS[inner]], axis=2)], axis=1)
-            at[group[inner]] = size + (w + r) ** 2 * np.arange(len(front))
-            below.append(front.ravel())
-            size += front.size
-        above = np.concatenate(below)
+            inverses.add(group[inner], np.block([
+                [Z[inner], Z_linked[inner].transpose(0, 2, 1)], [Z_linked[inner], Z_SS[inner]]]))
+        inverses.descend()
+
+
+def _inverse_columns(L_j: Array, D_j: Array, Z_SS: Array) -> tuple[Array, Array]:
+    """
+    Return Z_jj (g, w, w) and Z_Sj (g, r, w) of g blocks by Takahashi's recursion.
+
+    Parameters
+    ----------
+    L_j : (g, w + r, w) array, L_jj over L_Sj
+    D_j : (g, w) array, pivots
+    Z_SS : (g, r, r) array, the inverse in the rows and columns S
+
+    """
+    w = D_j.shape[1]
+    L_inv = np.linalg.inv(L_j[:, :w])
+    B = L_j[:, w:] @ L_inv
+    Z_Sj = -Z_SS @ B
+    Z_jj = L_inv.transpose(0, 2, 1) @ (L_inv / D_j[:, :, None]) - B.transpose(0, 2, 1) @ Z_Sj
+    return Z_jj, Z_Sj
+
+
+class _InversesOfLevel:
+    """The inverse over each front of one level, while those of the level below are added."""
+
+    def __init__(self, blocks: int) -> None:
+        #: (m,) array, position of the first element of each block in the array of its level
+        self._begins = np.zeros(blocks, np.intp)
+        self._elements = np.empty(0)
+        self._below, self._size = [np.empty(0)], 0
+
+    def among(self, blocks: Indices, heights: Indices, places: Indices) -> Array:
+        """Return the inverse (g, r, r) at places (g, r) in the fronts of g blocks."""
+        down, right = places[:, :, None] * heights[:, None, None], places[:, None, :]
+        found: Array = self._elements[self._begins[blocks, None, None] + down + right]
+        return found
+
+    def add(self, blocks: Indices, inverses: Array) -> None:
+        """Add the inverses (g, h, h) over the fronts of g blocks of the level below."""
+        h = inverses.shape[1]
+        self._begins[blocks] = self._size + h ** 2 * np.arange(len(blocks))
+        self._below.append(inverses.ravel())
+        self._size += inverses.size
+
+    def descend(self) -> None:
+        """Continue with the level below."""
+        self._elements = np.concatenate(self._below)
+        self._below, self._size = [np.empty(0)], 0
 
 
 class _Fronts:
