@@ -14,9 +14,9 @@ import numpy as np
 from scipy.sparse import csc_array
 
 from fej_slam_ros.core.geometry import Array, Indices, runs
+from fej_slam_ros.core.smoothing.chain_reduction import ReducedChains
 from fej_slam_ros.core.smoothing.inverse_blocks import InverseBlocks
 from fej_slam_ros.core.smoothing.normal_equations import Cholesky
-from fej_slam_ros.core.smoothing.odometry_chains import ReducedChains
 
 #: In place of a row: the coordinate of a fixed pose, and that of a pose within a chain.
 FIXED, ELIMINATED = -1, -2

@@ -9,12 +9,12 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
+from fej_slam_ros.core.smoothing.chain_reduction import ChainedIncrements, ReducedChains
 from fej_slam_ros.core.smoothing.factors import (
     LandmarkFactors, OdometryFactors, RendezvousFactors, rows_of, stacked, Values, whitener)
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.normal_equations import NormalEquations
-from fej_slam_ros.core.smoothing.odometry_chains import (
-    ChainedIncrements, OdometryChains, ReducedChains)
+from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains
 
 NO_RENDEZVOUS = stacked(RendezvousFactors, ())
 
