@@ -35,7 +35,7 @@ from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, distinct, Indices
 from fej_slam_ros.core.models import composed_increment
 from fej_slam_ros.core.smoothing.factors import (
-    concatenated, OdometryFactors, Row, rows_of, stacked, Values, whitener)
+    concatenated, OdometryFactors, Row, rows_of, stacked, Values, whitened, whitener)
 
 #: Observations that must count again for each released link: ten coordinates for three.
 MIN_PER_LINK = 5
@@ -170,11 +170,10 @@ def _distances(joint: JointMap, links: OdometryFactors, sign: float) -> Array:
     it does not use (1).
 
     """
-    H, r = links.linearize(joint.values)
-    information, L_inv = joint.information(), whitener(links.R)
+    A, b = whitened(whitener(links.R), *links.linearize(joint.values))
+    information = joint.information()
     P = np.array([
         information.joint(ends) for ends in zip(links.pose.tolist(), links.target.tolist())])
-    A, b = L_inv @ H, (L_inv @ r[:, :, None])[:, :, 0]
     return distances_where_tested(b, np.eye(3) + sign * A @ P @ A.transpose(0, 2, 1))
 
 

@@ -139,3 +139,8 @@ def whitener(R: Array) -> Array:
         raise SingularError('the covariance of a measurement is singular') from None
     # numpy 1.26 takes a single identity for vectors where R is a stack.
     return np.linalg.solve(L, np.broadcast_to(np.eye(R.shape[-1]), R.shape))
+
+
+def whitened(L_inv: Array, H: Array, r: Array) -> tuple[Array, Array]:
+    """Return A = L^-1 H and b = L^-1 r of Jacobians (m, d, c) and residuals (m, d)."""
+    return L_inv @ H, (L_inv @ r[:, :, None])[:, :, 0]

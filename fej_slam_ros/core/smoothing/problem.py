@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.chain_reduction import ChainedIncrements, ReducedChains
 from fej_slam_ros.core.smoothing.factors import (
-    LandmarkFactors, OdometryFactors, RendezvousFactors, rows_of, stacked, Values, whitener)
+    LandmarkFactors, OdometryFactors, RendezvousFactors, rows_of, stacked, Values, whitened,
+    whitener)
 from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.normal_equations import NormalEquations
 from fej_slam_ros.core.smoothing.odometry_chains import OdometryChains
@@ -88,19 +89,17 @@ class System:
     def __init__(
         self, problem: Problem, poses: int, points: int, kept: Sequence[int] = ()
     ) -> None:
-        odometry, *others = problem.odometry, problem.landmarks, problem.rendezvous
-        needed = np.zeros(poses, bool)
-        for used in (
-                kept, problem.fixed_poses, problem.landmarks.pose, problem.rendezvous.pose,
-                problem.rendezvous.target):
-            needed[np.array(used, np.intp)] = True
-        self._chains = OdometryChains.of(odometry.pose, odometry.target, needed)
+        odometry = problem.odometry
+        self._chains = OdometryChains.of(
+            odometry.pose, odometry.target, _measured(problem, poses, kept))
         chained = rows_of(odometry, self._chains.rows)
         self._chained = ChainedIncrements.of(self._chains, chained.z, chained.R)
-        single = np.delete(np.arange(len(odometry.z)), self._chains.rows)
         if len(self._chains.rows):
-            odometry = rows_of(odometry, single)
-        self._factors = [factors for factors in (odometry, *others) if len(factors.z) > 0]
+            odometry = rows_of(
+                odometry, np.delete(np.arange(len(odometry.z)), self._chains.rows))
+        self._factors = [
+            factors for factors in (odometry, problem.landmarks, problem.rendezvous)
+            if len(factors.z) > 0]
         self._whiteners = [whitener(factors.R) for factors in self._factors]
         free = np.ones(poses + points, bool)
         free[list(problem.fixed_poses)] = False
@@ -129,8 +128,7 @@ class System:
         """Return the whitened linearisation at x; `loss` is the cost of landmark observations."""
         A, b, cost = [], [], 0.0
         for factors, L_inv in zip(self._factors, self._whiteners):
-            H, r = factors.linearize(x)
-            A_k, b_k = L_inv @ H, (L_inv @ r[:, :, None])[:, :, 0]
+            A_k, b_k = whitened(L_inv, *factors.linearize(x))
             if loss is not None and isinstance(factors, LandmarkFactors):
                 d2 = np.square(b_k).sum(axis=1)
                 root = np.sqrt(loss.weights(d2))
@@ -142,11 +140,11 @@ class System:
             b.append(b_k)
         chains, within = self._chained.reduced(x.poses), 0.0
         if len(chains.Phi):
-            L_inv = whitener(chains.covariances)
-            A.insert(0, L_inv @ chains.H)
-            b.insert(0, (L_inv @ chains.residuals[:, :, None])[:, :, 0])
+            A_k, b_k = whitened(whitener(chains.covariances), chains.H, chains.residuals)
+            A.insert(0, A_k)
+            b.insert(0, b_k)
             cost += chains.cost
-            within = chains.cost - float(np.vdot(b[0], b[0]))
+            within = chains.cost - float(np.vdot(b_k, b_k))
         return LinearizedFactors(A, b, chains, cost, within)
 
     def correction(self, at: LinearizedFactors, dx_free: Array, share: float) -> Array:
@@ -160,3 +158,13 @@ class System:
         dx[self.equations.coordinates] = dx_free
         at.chains.correct(dx[:3 * self._poses].reshape(-1, 3), share)
         return dx
+
+
+def _measured(problem: Problem, poses: int, kept: Sequence[int]) -> Flags:
+    """Return whether each of the poses is kept, fixed, or has measurements beside odometry."""
+    is_measured = np.zeros(poses, bool)
+    for used in (
+            kept, problem.fixed_poses, problem.landmarks.pose, problem.rendezvous.pose,
+            problem.rendezvous.target):
+        is_measured[np.array(used, np.intp)] = True
+    return is_measured
