@@ -9,7 +9,7 @@ all poses and landmarks is the joint map, in which duplicate landmarks are merge
 Joined robots then act as one map, so that any number of robots can be joined.
 """
 
-from collections import Counter, defaultdict
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -50,9 +50,15 @@ class JoinedMaps(NamedTuple):
     #: rendezvous, or single observations, that were not used, and landmarks that were not merged
     failures: list[JoinFailure]
     #: observations by robot of landmarks that contradicted those of the other map
-    outliers: Mapping[str, Sequence[Outlier]]
-    released: Sequence[ReleasedOdometry]  #: odometry of robots whose wheels slipped
-    scaled: Sequence[ScaledJoin]  #: maps whose scales differ
+    outliers: dict[str, list[Outlier]]
+    released: list[ReleasedOdometry]  #: odometry of robots whose wheels slipped
+    scaled: list[ScaledJoin]  #: maps whose scales differ
+
+    def copy(self) -> 'JoinedMaps':
+        """Return the same maps and reports, to which others may be added."""
+        outliers = {robot: [*of_robot] for robot, of_robot in self.outliers.items()}
+        return JoinedMaps(
+            [*self.maps], [*self.failures], outliers, [*self.released], [*self.scaled])
 
 
 def join_maps(
@@ -72,13 +78,13 @@ def join_maps(
     for rendezvous, _ in failed:
         pooled.setdefault(rendezvous.robots, []).extend(rendezvous.measurements)
     failed = merger.apply([Rendezvous(*of_pair) for of_pair in pooled.items()])
-    matched = [*map(_matched, merger.groups)]
-    return JoinedMaps(
-        [joint for joint, _ in matched],
-        [*merger.outliers,
-         *(replace(failure, robots=rendezvous.robots) for rendezvous, failure in failed),
-         *(failure for _, failure in matched if failure is not None)],
-        merger.landmark_outliers, merger.released, merger.scaled)
+    matched = [*map(_matched, merger.result.maps)]
+    return merger.result._replace(
+        maps=[joint for joint, _ in matched],
+        failures=[
+            *merger.result.failures,
+            *(replace(failure, robots=rendezvous.robots) for rendezvous, failure in failed),
+            *(failure for _, failure in matched if failure is not None)])
 
 
 def _matched(joint: JointMap) -> tuple[JointMap, JoinFailure | None]:
@@ -91,20 +97,20 @@ def _matched(joint: JointMap) -> tuple[JointMap, JoinFailure | None]:
 
 
 class _MapMerger:
-    """Groups of joined robots, each with one map."""
+    """
+    Groups of joined robots, each with one map.
+
+    Attributes
+    ----------
+    result : the map of each group, and the reports so far; rendezvous that fail are none of these
+
+    """
 
     def __init__(
         self, maps: Sequence[JointMap], measurements: Measurements, rules: JoinRules
     ) -> None:
-        self.groups = [*maps]  #: the map of each group
-        #: failures of single observations of rendezvous that were applied
-        self.outliers: list[JoinFailure] = []
-        #: landmark observations that were left out, by robot
-        self.landmark_outliers: defaultdict[str, list[Outlier]] = defaultdict(list)
-        self.released: list[ReleasedOdometry] = []  #: odometry of robots whose wheels slipped
-        self.scaled: list[ScaledJoin] = []  #: joined maps whose scales differ
-        self._rules = replace(
-            rules, variance_factor=variance_factor(self.groups, rules.min_shared))
+        self.result = JoinedMaps([*maps], [], {}, [], [])
+        self._rules = replace(rules, variance_factor=variance_factor(maps, rules.min_shared))
         self._aligner = RendezvousAligner(measurements, self._rules)
 
     def apply(self, attempted: Sequence[Rendezvous]) -> list[Failed]:
@@ -135,17 +141,17 @@ class _MapMerger:
     def _with_slips(self, failed: Sequence[Failed]) -> list[Failed]:
         """Close loops that failed, where a slip explains it; return the other rendezvous."""
         left = [*failed]
-        for k in range(len(self.groups)):
+        for k in range(len(self.result.maps)):
             while True:
-                group = self.groups[k]
+                group = self.result.maps[k]
                 own = _within(group, [loop for loop, _ in left])
                 explained = explained_loops(group, own, self._rules)
                 if explained is None:
                     break
                 self._aligner.forget(group)
-                self.groups[k] = explained.closed.joint
-                self.released.append(explained.released)
-                self.outliers += explained.closed.outliers
+                self.result.maps[k] = explained.closed.joint
+                self.result.released.append(explained.released)
+                self.result.failures.extend(explained.closed.outliers)
                 robot = explained.released.robot
                 left = [
                     (loop, failure) for loop, failure in left
@@ -159,34 +165,32 @@ class _MapMerger:
         measurements = rendezvous.measurements
         if not others or len(measurements) < 2 * MIN_PER_LINK:
             return False
-        groups, outliers, released, scaled = (
-            [*self.groups], len(self.outliers), len(self.released), len(self.scaled))
-        middle = len(measurements) // 2
+        before, middle = self.result, len(measurements) // 2
         halves = [
             rendezvous._replace(measurements=half)
             for half in (measurements[:middle], measurements[middle:])]
         for half, other in (halves, halves[::-1]):
+            self.result = before.copy()
             if self._join(p, others[0], half, (), []) is None and not self._with_slips(
                     [(other, failure)]):
                 return True
-            self.groups = [*groups]
-            del self.outliers[outliers:], self.released[released:], self.scaled[scaled:]
+        self.result = before
         return False
 
     def _close_loops(self, loops: Sequence[Rendezvous]) -> list[Failed]:
         failed: list[Failed] = []
-        for k, group in enumerate(self.groups):
+        for k, group in enumerate(self.result.maps):
             closed = close_loops(group, _within(group, loops), self._rules)
             if closed.joint is not group:
                 self._aligner.forget(group)
-            self.groups[k] = closed.joint
-            self.outliers += closed.outliers
+            self.result.maps[k] = closed.joint
+            self.result.failures.extend(closed.outliers)
             failed += closed.failed
         return failed
 
     def _groups_of(self, rendezvous: Rendezvous) -> list[JointMap]:
         """Return the one or two groups that the robots of a rendezvous are in."""
-        return [g for g in self.groups if not set(rendezvous.robots).isdisjoint(g.robots)]
+        return [g for g in self.result.maps if not set(rendezvous.robots).isdisjoint(g.robots)]
 
     def _join(
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous],
@@ -208,7 +212,7 @@ class _MapMerger:
             joined = self._joined_by_landmarks(shared, aligned)
         if isinstance(joined, JoinFailure):
             return joined
-        self.groups = [joined if g is p else g for g in self.groups if g is not q]
+        self.result.maps[:] = [joined if g is p else g for g in self.result.maps if g is not q]
         for part in (p, q):
             part.problem.forget_systems()
             self._aligner.forget(part)
@@ -245,7 +249,7 @@ class _MapMerger:
         again = self._joined_in_any_scale(others, aligned_by_others)
         if not isinstance(again, JoinFailure):
             for robot, outliers in (outliers_p | outliers_q).items():
-                self.landmark_outliers[robot] += outliers
+                self.result.outliers.setdefault(robot, []).extend(outliers)
         return again
 
     def _joined_in_any_scale(
@@ -263,7 +267,7 @@ class _MapMerger:
             compromise = merged(p, q, scaled.base_node).solved()
         except NoMinimumError:
             return joined
-        self.scaled.append(ScaledJoin(tuple(p.robots), tuple(q.robots), scaled.scale))
+        self.result.scaled.append(ScaledJoin(tuple(p.robots), tuple(q.robots), scaled.scale))
         return compromise
 
     def _joined_by_rendezvous(
@@ -276,7 +280,7 @@ class _MapMerger:
         base_node, kept = aligned
         joined = self._joined(p, q, base_node.pose, kept)
         if len(kept) < len(rendezvous.measurements) and not isinstance(joined, JoinFailure):
-            self.outliers.append(outlier_report(rendezvous, len(kept)))
+            self.result.failures.append(outlier_report(rendezvous, len(kept)))
         return joined
 
     def _joined(

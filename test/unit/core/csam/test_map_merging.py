@@ -10,6 +10,7 @@ import pytest
 
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
+from fej_slam_ros.core.csam.shared_landmarks import SharedLandmarks
 from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -232,14 +233,21 @@ def observing(local, keys, most):
             of_kept, target=np.array([kept.index(target) for target in of_kept.target]))))
 
 
+#: One robot observes 5 and not 6; the other 6, which it reads as 5, twice only.
+RIGHT, MISREAD = [0, 1, 2, 3, 4, 5, None], [0, 1, 2, 3, 4, None, 5]
+
+
+def with_misread_ids(maps, fewer):
+    """Return maps of which that of one robot has fewer observations, with a misread ID."""
+    return [
+        observing(local, MISREAD, {5: 2}) if local.robot == fewer else observing(local, RIGHT, {})
+        for local in maps]
+
+
 @pytest.mark.parametrize('fewer', ['r1', 'r2'])
 def test_a_landmark_from_misread_ids_only_is_left_out_of_the_map_with_fewer_observations(fewer):
     team = Met(13, [], landmarks=7, shared=True)
-    # One robot observes 5 and not 6; the other 6, which it reads as 5, twice only.
-    right, misread = [0, 1, 2, 3, 4, 5, None], [0, 1, 2, 3, 4, None, 5]
-    maps = [
-        observing(local, misread if local.robot == fewer else right,
-                  {5: 2} if local.robot == fewer else {}) for local in team.maps]
+    maps = with_misread_ids(team.maps, fewer)
 
     (joint,), failed, outliers, *_ = joined_maps(maps, [])
 
@@ -248,10 +256,28 @@ def test_a_landmark_from_misread_ids_only_is_left_out_of_the_map_with_fewer_obse
     assert [o.pose for o in outliers[fewer]] == [0, 1]
     assert sum(map(len, outliers.values())) == 2
     (expected,), *_ = joined_maps([
-        observing(local, [*right[:5], None, None] if local.robot == fewer else right, {})
+        observing(local, [*RIGHT[:5], None, None] if local.robot == fewer else RIGHT, {})
         for local in team.maps], [])
     assert_allclose(joint.values.poses, expected.values.poses, atol=1e-8)
     assert joint.landmark_index().keys() == expected.landmark_index().keys()
+
+
+def test_an_attempt_to_explain_a_rendezvous_by_slip_leaves_no_landmark_observations_out(
+        monkeypatch):
+    team = Met(13, [(0, 1, k) for k in range(10)], landmarks=7, steps=10, shared=True)
+    contradicting, attempts = SharedLandmarks.contradicting, []
+
+    def contradicting_later(shared, rules):
+        attempts.append(shared)
+        return contradicting(shared, rules) if len(attempts) > 1 else {}
+
+    # As if a slip of another robot had been found between the first attempt and the second.
+    monkeypatch.setattr(SharedLandmarks, 'contradicting', contradicting_later)
+    (joint,), failed, outliers, *_ = joined_maps(
+        with_misread_ids(team.maps, 'r2'), team.measurements)
+
+    assert (joint.robots, failed) == (('r1', 'r2'), [])
+    assert [o.pose for o in outliers['r2']] == [0, 1]
 
 
 def test_a_third_of_the_landmarks_cannot_be_outlying():
