@@ -121,10 +121,10 @@ class _BlockPattern:
 
     def positions(self, i: Indices, j: Indices, height: int, width: int) -> Indices:
         """
-        Return the positions (k, height, width) of the elements of some blocks.
+        Return where the elements of k blocks are, a (k, height, width) array.
 
-        Block k has the rows of node i and the columns of node j, (k,) arrays. The position is e
-        where one of the two is -1, a node that is not in the matrix.
+        A block has the rows of node i and the columns of node j, (k,) arrays. The position is e if
+        one of the two is -1, a node that is not in the matrix.
 
         """
         block = np.minimum(
