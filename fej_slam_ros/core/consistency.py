@@ -48,7 +48,7 @@ def nees_per_dof(errors: Array, P: Array) -> Array:
 
 
 def pose_error(estimate: Array, truth: Array) -> Array:
-    """Return estimate - truth of poses (..., 3), with wrapped headings."""
+    """Return estimate - truth, or other differences, of poses (..., 3) with wrapped headings."""
     error: Array = estimate - truth
     error[..., 2] = wrap_all(error[..., 2])
     return error

@@ -125,9 +125,7 @@ def interpolated_all(a: Array, b: Array, fractions: Array) -> Array:
     """Return `interpolated` of m pairs of poses (m, 3): their positions lie on straight lines."""
     motion = b - a
     motion[:, 2] = wrap_all(motion[:, 2])
-    poses: Array = a + fractions[:, None] * motion
-    poses[:, 2] = wrap_all(poses[:, 2])
-    return poses
+    return poses_plus(a, fractions[:, None] * motion)
 
 
 def transform(pose: Array, points: Array) -> Array:

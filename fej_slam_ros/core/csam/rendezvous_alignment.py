@@ -17,13 +17,14 @@ from itertools import combinations
 
 import numpy as np
 
+from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.csam.base_node import (
     align, Alignment, BaseNode, central, farthest, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, MIN_PER_OUTLIER, Rendezvous
 from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
-from fej_slam_ros.core.geometry import Indices, wrap_all
+from fej_slam_ros.core.geometry import Indices
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.marginals import Information
 
@@ -178,8 +179,7 @@ def _relates(rendezvous: Rendezvous, p: JointMap, q: JointMap) -> bool:
 
 
 def _agree(a: BaseNode, b: BaseNode, rules: JoinRules) -> bool:
-    difference = b.pose - a.pose
-    difference[2:] = wrap_all(difference[2:])
+    difference = pose_error(b.pose, a.pose)
     # Also of base nodes that are exact in some direction.
     information = np.linalg.pinv(a.P + b.P, hermitian=True)
     return float(difference @ information @ difference) <= rules.limit(3)
