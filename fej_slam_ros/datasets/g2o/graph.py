@@ -17,7 +17,7 @@ from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.csam.team_solution import (
     SmoothedMap, SmoothedTrajectory, SmoothingTask, TeamMap)
 from fej_slam_ros.core.frame_names import own_frame
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, starts_of
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.factors import (
     Factors, LandmarkFactors, OdometryFactors, RendezvousFactors, Row, stacked, Values)
@@ -96,8 +96,9 @@ def graph_of(
         local.robot in solved.trajectories for solved in solution.maps))]
     lengths = [len(local.values.poses) for local in task.maps]
     robots = [local.robot for local in task.maps]
-    first = dict(zip(robots, _starts(0, lengths)))
-    first_point = _starts(sum(lengths), [len(solved.points) for solved in maps])
+    first = dict(zip(robots, starts_of(np.array(lengths)).tolist()))
+    points = np.array([len(solved.points) for solved in maps])
+    first_point = (sum(lengths) + starts_of(points)).tolist()
     graph = Graph(fixed=[first[next(iter(solved.trajectories))] for solved in maps])
     map_of = {robot: k for k, solved in enumerate(maps) for robot in solved.trajectories}
     for start, solved in zip(first_point, maps):
@@ -130,11 +131,6 @@ def _unsolved(local: LocalMap) -> SmoothedMap:
     return SmoothedMap(
         own_frame(local.robot), {local.robot: trajectory}, {},
         tuple((key,) for key in local.landmarks), points, np.zeros((len(points), 2, 2)), 0.0, 0)
-
-
-def _starts(begin: int, lengths: Sequence[int]) -> list[int]:
-    """Return where each of some consecutive blocks of numbers begins."""
-    return [begin, *(begin + np.cumsum(lengths)).tolist()][:len(lengths)]
 
 
 def _rows(factors: Factors) -> Iterable[Row]:

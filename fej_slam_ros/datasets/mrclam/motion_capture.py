@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.calibration.odometry_errors import SIGMA_PER_MEDIAN
-from fej_slam_ros.core.geometry import Array, Flags, Indices, wrap_all
+from fej_slam_ros.core.consistency import pose_error
+from fej_slam_ros.core.geometry import Array, Flags, Indices
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.series import drop, Series
 
@@ -40,7 +41,7 @@ def noise(truth: Series) -> Array:
     poses are sparser.
 
     """
-    steps = _steps(truth, np.arange(len(truth) - 1), np.arange(1, len(truth)))
+    steps = pose_error(truth.rows[1:], truth.rows[:-1])
     second = np.diff(steps, axis=0)[truth.stamps[2:] - truth.stamps[:-2] <= SMOOTH_TIME]
     if not len(second):
         return np.zeros(3)
@@ -67,7 +68,7 @@ def without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Seri
     least = np.maximum(MIN_SLIP, usual)
 
     def is_jump(before: Indices, after: Indices) -> Flags:
-        steps = np.abs(_steps(truth, before, after))
+        steps = np.abs(pose_error(truth.rows[after], truth.rows[before]))
         dt = (truth.stamps[after] - truth.stamps[before]) / NS
         jumps: Flags = (steps > least + dt[:, None] * [v, v, w]).any(axis=1)
         return jumps
@@ -88,10 +89,3 @@ def without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Seri
     if slipped.sum() > MAX_SLIPPED * len(truth):
         return drop(truth, np.ones(len(truth), dtype=bool), UNUSABLE_TRUTH, counts)
     return drop(truth, slipped, 'truth at a jump', counts)
-
-
-def _steps(truth: Series, before: Indices, after: Indices) -> Array:
-    """Return the differences (n, 3) between true poses, turns from -pi to pi."""
-    steps: Array = truth.rows[after] - truth.rows[before]
-    steps[:, 2] = wrap_all(steps[:, 2])
-    return steps
