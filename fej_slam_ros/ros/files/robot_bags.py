@@ -46,13 +46,11 @@ class RobotBags:
 
 def _topics(bag: Path, names: TopicNames) -> dict[str, BagTopic]:
     """Return the topics of a bag by their names in the team; UserError if two become one."""
-    owners: dict[str, str] = {}
     recorded = bags.topics(bag)
-    for topic in recorded:
-        name = names.name(topic)
-        other = owners.setdefault(name, topic)
-        if other != topic:
-            raise UserError(
-                f'{bag} has both /{other} and /{topic}, which would both be /{name}: leave one of'
-                ' them out with rosbags-convert --exclude-topic')
-    return {name: recorded[topic] for name, topic in owners.items()}
+    clash = names.clash(recorded)
+    if clash is not None:
+        one, other = clash
+        raise UserError(
+            f'{bag} has both /{one} and /{other}, which would both be /{names.name(other)}: leave'
+            ' one of them out with rosbags-convert --exclude-topic')
+    return {names.name(topic): of_topic for topic, of_topic in recorded.items()}

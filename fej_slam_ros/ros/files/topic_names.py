@@ -69,6 +69,18 @@ class TopicNames:
                 + _nearest(self.namespace, spaces or topics))
         self._check_distinct(topics, is_played)
 
+    def clash(
+        self, recorded: Iterable[str], is_played: bool = False
+    ) -> tuple[str, str] | None:
+        """Return two topics that would have one name, None if all names are distinct."""
+        owners: dict[str, str] = {}
+        for topic in recorded:
+            name = self.name(topic)
+            other = owners.setdefault(name.lstrip('/') if is_played else name, topic)
+            if other != topic:
+                return other, topic
+        return None
+
     def check_new(self, expected: Collection[str]) -> None:
         """Raise UsageError for new names of a robot that are none of the expected topics."""
         owners = {topic.partition('/')[0] for topic in expected}
@@ -81,14 +93,12 @@ class TopicNames:
                     + _nearest(new, [_absolute(name) for name in expected]))
 
     def _check_distinct(self, topics: Iterable[str], is_played: bool) -> None:
-        owners: dict[str, str] = {}
-        for topic in topics:
-            name = self.name(topic)
-            other = owners.setdefault(name.lstrip('/') if is_played else name, topic)
-            if other != topic:
-                raise UsageError(
-                    f'{other} and {topic} would both be {_absolute(name)}: give one of them an'
-                    f' unused name too, such as --remap {topic}:=/unused{topic}')
+        clash = self.clash(topics, is_played)
+        if clash is not None:
+            one, other = clash
+            raise UsageError(
+                f'{one} and {other} would both be {_absolute(self.name(other))}: give one of them'
+                f' an unused name too, such as --remap {other}:=/unused{other}')
 
     def _rule(self, topic: str) -> str | None:
         """Return the recorded name in the most specific rule for a topic."""

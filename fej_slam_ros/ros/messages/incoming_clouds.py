@@ -47,8 +47,9 @@ def scan(
             return RejectionReason.BAD_ID
         return RejectionReason.NO_IDENTITY if needs_ids and landmark == NO_ID else None
 
-    observations, rejected = _observations(cloud, robot, id_fault, {})
-    return Scan(robot.name, stamp_of(cloud, robot), tuple(observations)), rejected
+    stamp = _stamp_of(cloud, robot)
+    observations, rejected = _observations(cloud, robot, stamp, id_fault, {})
+    return Scan(robot.name, stamp, tuple(observations)), rejected
 
 
 def has_unknown_landmarks(cloud: PointCloud2) -> bool:
@@ -67,14 +68,10 @@ def robot_scan(
             return RejectionReason.BAD_ID
         return None if observed in robots_by_id else RejectionReason.UNKNOWN_ROBOT
 
-    observations, rejected = _observations(cloud, robot, id_fault, robots_by_id)
-    return RobotScan(robot.name, stamp_of(cloud, robot), tuple(
+    stamp = _stamp_of(cloud, robot)
+    observations, rejected = _observations(cloud, robot, stamp, id_fault, robots_by_id)
+    return RobotScan(robot.name, stamp, tuple(
         RobotObservation(robots_by_id[s.id], s.z, s.R) for s in observations)), rejected
-
-
-def stamp_of(cloud: PointCloud2, robot: RobotSettings) -> int:
-    """Return the time [ns] of the observations in a cloud of a robot."""
-    return from_time(cloud.header.stamp) - round(robot.sensor_delay * NS)
 
 
 def true_landmarks(cloud: PointCloud2) -> TrueLandmarks:
@@ -169,14 +166,20 @@ def covariances_of(points: Columns, sigma: tuple[float, float]) -> Array:
     return R
 
 
+def _stamp_of(cloud: PointCloud2, robot: RobotSettings) -> int:
+    """Return the time [ns] of the observations in a cloud of a robot."""
+    return from_time(cloud.header.stamp) - round(robot.sensor_delay * NS)
+
+
 def _observations(
-    cloud: PointCloud2, robot: RobotSettings, id_fault: Callable[[int], RejectionReason | None],
-    robots_by_id: Mapping[int, str],
+    cloud: PointCloud2, robot: RobotSettings, stamp: int,
+    id_fault: Callable[[int], RejectionReason | None], robots_by_id: Mapping[int, str],
 ) -> tuple[list[Observation], list[Rejection]]:
+    """Return the accepted observations in the base frame as those of landmarks, and rejections."""
     columns = checked_columns(cloud)
     ids = columns['id'].astype(int).tolist()
     z, R = points_of(columns), covariances_of(columns, robot.landmark_sigma)
-    faults, stamp = observation_faults(z, R), stamp_of(cloud, robot)
+    faults = observation_faults(z, R)
     if any(robot.sensor_pose):
         z, R = _in_base_frame(z, R, np.array(robot.sensor_pose))
         # By static transforms a sensor may be far from its robot.
