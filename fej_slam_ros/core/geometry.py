@@ -41,6 +41,18 @@ def rotation(phi: float) -> Array:
     return np.array([[c, -s], [s, c]])
 
 
+def rotations(angles: Array) -> Array:
+    """Return the rotation matrices (n, 2, 2) of angles (n,) [rad]."""
+    c, s = np.cos(angles), np.sin(angles)
+    return np.moveaxis(np.array([[c, -s], [s, c]]), 2, 0)
+
+
+def products(matrices: Array, vectors: Array) -> Array:
+    """Return matrices (n, 2, 2) times vectors (n, 2), an (n, 2) array."""
+    products: Array = np.einsum('nij,nj->ni', matrices, vectors)
+    return products
+
+
 def pose_rotation(phi: float) -> Array:
     """Return blkdiag(C(phi), 1), which rotates the position part of a pose error."""
     c, s = math.cos(phi), math.sin(phi)

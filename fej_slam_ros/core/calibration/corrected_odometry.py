@@ -1,12 +1,22 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Odometry of a whole run without its systematic errors."""
+"""Odometry of a whole run as one trajectory, also without its systematic errors."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.geometry import Array, Stamps, wrap_all
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import NS, Odometry
+
+
+def trajectory(odometry: Sequence[Odometry]) -> tuple[Stamps, Array]:
+    """Return the stamps (n,) [ns] of odometry in order, each once, and the poses (n, 3)."""
+    stamps = np.array([record.stamp for record in odometry], np.int64)
+    poses = np.array([record.pose for record in odometry]).reshape(-1, 3)
+    stamps, first = np.unique(stamps, return_index=True)
+    return stamps, poses[first]
 
 
 def corrected_trajectory(stamps: Stamps, poses: Array, values: Array) -> Array:

@@ -21,8 +21,9 @@ from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajector
 from fej_slam_ros.core.calibration.instruments import (
     measured_motion, PairMotion, predicted_motion)
 from fej_slam_ros.core.calibration.observation_errors import given_observations
+from fej_slam_ros.core.calibration.observation_pairs import (
+    observation_pairs, ObservationPairs)
 from fej_slam_ros.core.calibration.odometry_errors import given_odometry, scatter
-from fej_slam_ros.core.calibration.sensor_pose import observation_pairs, ObservationPairs
 from fej_slam_ros.core.calibration.shown_errors import (
     blocks, ErrorEstimate, ErrorFit, ErrorLimits, MIN_SIGMAS, shown_errors, suffice)
 from fej_slam_ros.core.geometry import Array, Flags, Stamps

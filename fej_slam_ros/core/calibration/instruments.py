@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.calibration.sensor_pose import ObservationPairs, rotations
-from fej_slam_ros.core.geometry import Array, perpendicular, poses_at, rotation, Stamps
+from fej_slam_ros.core.calibration.observation_pairs import ObservationPairs
+from fej_slam_ros.core.geometry import (
+    Array, perpendicular, poses_at, products, rotation, rotations, Stamps)
 from fej_slam_ros.core.records import NS
 
 #: Time before, and after, two observations in which velocities predict the motion between them.
@@ -39,7 +40,7 @@ class PairMotion:
         scale, turn, bias, bearing_bias, *position = values
         u, turned, times = self.motion[:, :2], self.motion[:, 2], _seconds(*self.pairs.stamps)
         B = rotations(turn * turned - bias * times)
-        z = _products(B, self.pairs.z[1] @ rotation(bearing_bias) + position)
+        z = products(B, self.pairs.z[1] @ rotation(bearing_bias) + position)
         by_position = np.eye(2) - B
         # A turn rotates the second observation, and the motion by half the angle. A bearing bias
         # rotates the difference of both, which is the motion of the sensor.
@@ -79,14 +80,8 @@ def _moved(pairs: ObservationPairs, begin: Stamps, end: Stamps) -> Array:
 
 def _with_rotated_start(motions: Array, part: float) -> Array:
     """Return motions (n, 3) in frames that are turned back by a part of their turns."""
-    rotated = _products(rotations(part * motions[:, 2]), motions[:, :2])
+    rotated = products(rotations(part * motions[:, 2]), motions[:, :2])
     return np.column_stack([rotated, motions[:, 2]])
-
-
-def _products(matrices: Array, vectors: Array) -> Array:
-    """Return the products (n, 2) of matrices (n, 2, 2) and vectors (n, 2)."""
-    products: Array = np.einsum('nij,nj->ni', matrices, vectors)
-    return products
 
 
 def _seconds(begin: Stamps, end: Stamps) -> Array:

@@ -9,9 +9,8 @@ import math
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajectory
+from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajectory, trajectory
 from fej_slam_ros.core.calibration.offset_regression import regression
-from fej_slam_ros.core.calibration.sensor_pose import trajectory
 from fej_slam_ros.core.geometry import Array, poses_at, rotation, Stamps
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry
