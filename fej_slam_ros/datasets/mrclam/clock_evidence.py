@@ -74,21 +74,25 @@ class ClockEvidence:
     def _differences(
         self, observer: ClockPart, observed: ClockPart, subject: int
     ) -> dict[int, list[float]]:
-        """Return how much distances of a robot from landmarks differ for both, by meeting."""
-        differences: defaultdict[int, list[float]] = defaultdict(list)
-        meetings = observer.observations[observer.observations.rows[:, 0] == subject]
-        meetings = meetings.between(observed.commands.stamps[0], observed.commands.stamps[-1])
-        meetings = meetings[::max(len(meetings) // MAX_OBSERVATIONS, 1)]
-        poses = poses_at(
-            meetings.stamps, observed.commands.stamps, odometry(observed.commands))
+        """
+        Return by how much distances of an observed robot from landmarks differ [m], by meeting.
+
+        Each is known from the map of the observer and from that of the robot itself.
+
+        """
+        seen = observer.observations[observer.observations.rows[:, 0] == subject]
+        seen = seen.between(observed.commands.stamps[0], observed.commands.stamps[-1])
+        seen = seen[::max(len(seen) // MAX_OBSERVATIONS, 1)]
+        points = positions(observer.commands, seen)
+        poses = poses_at(seen.stamps, observed.commands.stamps, odometry(observed.commands))
         maps = [self._positions(part) for part in (observer, observed)]
-        for stamp, point, pose in zip(
-                meetings.stamps.tolist(), positions(observer.commands, meetings), poses):
-            seen, own = (_nearest(positions_of, stamp) for positions_of in maps)
-            for landmark in seen.keys() & own.keys():
+        differences: defaultdict[int, list[float]] = defaultdict(list)
+        for stamp, point, pose in zip(seen.stamps.tolist(), points, poses):
+            by_observer, by_itself = (_nearest(landmarks, stamp) for landmarks in maps)
+            for landmark in by_observer.keys() & by_itself.keys():
                 differences[stamp // MEETING_TIME].append(abs(float(
-                    np.linalg.norm(seen[landmark] - point)
-                    - np.linalg.norm(own[landmark] - pose[:2]))))
+                    np.linalg.norm(by_observer[landmark] - point)
+                    - np.linalg.norm(by_itself[landmark] - pose[:2]))))
         return differences
 
     def _positions(self, part: ClockPart) -> Series:

@@ -172,24 +172,30 @@ def _without_step_forward(
 def _landmark_differences(
     earlier: ClockPart, later: ClockPart, moving: Container[int]
 ) -> list[float]:
-    """Return by how much landmarks observed before and after differ, over the tolerance."""
+    """
+    Return by how much landmarks observed before and after a break differ, over the tolerance.
+
+    The last observation before of each is compared with the first one after it.
+
+    """
     end = earlier.commands.stamps[-1]
     before = earlier.observations.between(end - COMPARED_TIME, end)
     after = later.observations.between(end, end + COMPARED_TIME)
     commands = joined([earlier.commands, later.commands])
     last = {int(subject): k for k, subject in enumerate(before.rows[:, 0])}
+    first = {int(subject): k for k, subject in reversed([*enumerate(after.rows[:, 0])])}
     points_before, points_after = (
         positions(commands, observations) for observations in (before, after))
-    differences = {}
-    for row, subject in enumerate(after.rows[:, 0].astype(int).tolist()):
-        if subject not in moving and subject in last and subject not in differences:
-            k = last[subject]
-            r = max(after.rows[row, 1], before.rows[k, 1])
-            seconds = (after.stamps[row] - before.stamps[k]) / NS
+    differences = []
+    for subject in last.keys() & first.keys():
+        if subject not in moving:
+            k, j = last[subject], first[subject]
+            r = max(before.rows[k, 1], after.rows[j, 1])
+            seconds = (after.stamps[j] - before.stamps[k]) / NS
             tolerance = POSITION_TOLERANCE @ [1.0, r, r * np.sqrt(seconds)]
-            distance = np.linalg.norm(points_after[row] - points_before[k])
-            differences[subject] = float(distance / tolerance)
-    return list(differences.values())
+            distance = np.linalg.norm(points_after[j] - points_before[k])
+            differences.append(float(distance / tolerance))
+    return differences
 
 
 def _on_one_clock(
