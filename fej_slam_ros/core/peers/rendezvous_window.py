@@ -90,15 +90,29 @@ def contents(message: bytes) -> list[bytes]:
 def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
     """Return the information for the other robot and the alignment of the maps, None if none."""
     robot, = task.settings.robots
-    measurements = task.log.measurements()
-    own = _observations(measurements, task.peer)
     try:
         theirs = read(task.received, task.peer, robot.name)
     except BadBlockError:
         theirs = None
-    observed_at = {scan.stamp for scan in own}
-    if theirs is not None:
-        observed_at |= {scan.stamp for scan in theirs.scans}
+    sent = _window(task, theirs)
+    if sent is None:
+        return None
+    if theirs is None:
+        return RendezvousResult(
+            write(sent), JoinFailure(f'{task.peer} has sent no rendezvous information'),
+            max(sent.stamps), None)
+    alignment = _aligned(robot.name, sent, theirs)
+    newest = max(range(len(theirs.stamps)), key=theirs.stamps.__getitem__)
+    pose = None if isinstance(alignment, JoinFailure) else compose(
+        alignment.base_node.pose, theirs.information.in_map(newest))
+    return RendezvousResult(write(sent), alignment, theirs.stamps[newest], pose)
+
+
+def _window(task: RendezvousTask, theirs: WindowInformation | None) -> WindowInformation | None:
+    """Return the information of this robot, None without observations or without a map."""
+    measurements = task.log.measurements()
+    own = _observations(measurements, task.peer)
+    observed_at = {scan.stamp for scan in (*own, *(theirs.scans if theirs else ()))}
     if not observed_at:
         return None
     try:
@@ -111,17 +125,8 @@ def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
         return None
     # The first pose, which is fixed in the map, was added if it is not one of the rendezvous.
     added = [min(index)] if len(information.poses) > len(stamps) else []
-    sent = WindowInformation(
+    return WindowInformation(
         (*stamps, *added), information, tuple(scan for scan in own if scan.stamp in index))
-    if theirs is None:
-        return RendezvousResult(
-            write(sent), JoinFailure(f'{task.peer} has sent no rendezvous information'),
-            stamps[-1], None)
-    alignment = _aligned(robot.name, sent, theirs)
-    newest = max(range(len(theirs.stamps)), key=theirs.stamps.__getitem__)
-    pose = None if isinstance(alignment, JoinFailure) else compose(
-        alignment.base_node.pose, theirs.information.in_map(newest))
-    return RendezvousResult(write(sent), alignment, theirs.stamps[newest], pose)
 
 
 def write(window: WindowInformation) -> bytes:
