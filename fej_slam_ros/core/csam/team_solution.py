@@ -109,25 +109,17 @@ def solve(task: SmoothingTask) -> TeamMap:
     measurements have the same map, each in its own frame.
 
     """
-    unsolved: dict[str, str] = {}
-    outliers: dict[str, Sequence[Outlier]] = {}
-    own_maps: dict[str, JointMap] = {}
-    for local in task.maps:
-        try:
-            own_maps[local.robot], outliers[local.robot] = without_outliers(
-                JointMap.unsolved(local), task.gate_probability)
-        except NoMinimumError as error:  # noqa: PERF203
-            unsolved[local.robot] = str(error)
+    own_maps, outliers, unsolved = _own_maps(task)
     measurements = [m for m in task.measurements if {m.observer, m.observed} <= own_maps.keys()]
     try:
         joined = join_maps(
             [own_maps[robot] for robot in sorted(own_maps)], measurements, task.rules)
     except NoMinimumError as error:
         return TeamMap(unsolved=unsolved | dict.fromkeys(own_maps, str(error)))
+    for robot, left_out in joined.outliers.items():
+        outliers[robot] += left_out
     keys = {local.robot: local.landmarks for local in task.maps}
     maps = []
-    for robot, left_out in joined.outliers.items():
-        outliers[robot] = [*outliers[robot], *left_out]
     for joint in _led_by_first(joined.maps, [local.robot for local in task.maps]):
         try:
             maps.append(_in_map_frame(_smoothed(joint, keys), task))
@@ -136,6 +128,20 @@ def solve(task: SmoothingTask) -> TeamMap:
     return TeamMap(
         tuple(maps), tuple(joined.failures), unsolved, outliers, tuple(joined.released),
         tuple(joined.scaled))
+
+
+def _own_maps(
+    task: SmoothingTask
+) -> tuple[dict[str, JointMap], dict[str, list[Outlier]], dict[str, str]]:
+    """Return the solved maps and their outliers by robot, and why others have no minimum."""
+    maps, outliers, unsolved = {}, {}, {}
+    for local in task.maps:
+        try:
+            maps[local.robot], outliers[local.robot] = without_outliers(
+                JointMap.unsolved(local), task.gate_probability)
+        except NoMinimumError as error:  # noqa: PERF203
+            unsolved[local.robot] = str(error)
+    return maps, outliers, unsolved
 
 
 def _led_by_first(maps: Sequence[JointMap], names: Sequence[str]) -> list[JointMap]:
