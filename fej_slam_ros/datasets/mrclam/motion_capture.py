@@ -61,8 +61,25 @@ def without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Seri
     truth = drop(truth, repeated, 'truth repeated at one stamp', counts)
     if not len(commands) or not len(truth):
         return truth
-    v, w = SPEED_MARGIN * np.abs(commands.rows).max(axis=0)
-    sigma = noise(truth)
+    speeds = SPEED_MARGIN * np.abs(commands.rows).max(axis=0)
+    before, after = _slips(truth, speeds)
+    begins = np.sort(truth.stamps[before] - SLIP_MARGIN)
+    ends = np.sort(truth.stamps[after] + SLIP_MARGIN)
+    inside = np.searchsorted(begins, truth.stamps) - np.searchsorted(ends, truth.stamps, 'right')
+    slipped = inside > 0
+    if slipped.sum() > MAX_SLIPPED * len(truth):
+        return drop(truth, np.ones(len(truth), dtype=bool), UNUSABLE_TRUTH, counts)
+    return drop(truth, slipped, 'truth at a jump', counts)
+
+
+def _slips(truth: Series, speeds: Array) -> tuple[Indices, Indices]:
+    """
+    Return the last true pose before each slip and the first one after it, (k,) arrays.
+
+    `speeds` (2,) are the largest that the robot can have [m/s, rad/s].
+
+    """
+    sigma, (v, w) = noise(truth), speeds
     # A step has the errors of two poses.
     usual = math.sqrt(2.0) * NOISE_SIGMAS * np.where(sigma <= MAX_NOISE, sigma, 0.0)
     least = np.maximum(MIN_SLIP, usual)
@@ -80,12 +97,4 @@ def without_slips(truth: Series, commands: Series, counts: Counter[str]) -> Seri
     before, after = jumps[:-1], jumps[1:] + 1
     is_displaced = ~is_jump(before, after) & (
         truth.stamps[after] - truth.stamps[before] <= MAX_SLIP_TIME)
-    before, after = np.append(jumps, before[is_displaced]), np.append(
-        jumps + 1, after[is_displaced])
-    begins = np.sort(truth.stamps[before] - SLIP_MARGIN)
-    ends = np.sort(truth.stamps[after] + SLIP_MARGIN)
-    inside = np.searchsorted(begins, truth.stamps) - np.searchsorted(ends, truth.stamps, 'right')
-    slipped = inside > 0
-    if slipped.sum() > MAX_SLIPPED * len(truth):
-        return drop(truth, np.ones(len(truth), dtype=bool), UNUSABLE_TRUTH, counts)
-    return drop(truth, slipped, 'truth at a jump', counts)
+    return np.append(jumps, before[is_displaced]), np.append(jumps + 1, after[is_displaced])
