@@ -84,30 +84,46 @@ def by_robot(names: Mapping[int, PoseName]) -> dict[str, list[int]]:
 
 def records(graph: Graph, robots: Trajectories, unused: Counter[str]) -> list[Record]:
     """Return odometry and scans in the order of stamps; count what has no record by its reason."""
+    unused['relative pose beside the trajectories'] += robots.unused
+    result: list[Record] = []
+    for robot in robots.poses:
+        result += _odometry(robot, robots)
+    landmarks = _observations(graph, robots, unused)
+    result += (
+        Scan(*robots.names[k], scan) for k, seen in landmarks.items() for scan in divided(seen))
+    others = _robot_observations(graph, robots, unused)
+    result += (
+        RobotScan(*robots.names[k], scan) for k, seen in others.items() for scan in divided(seen))
+    return sorted(result, key=attrgetter('stamp'))
+
+
+def _observations(
+    graph: Graph, robots: Trajectories, unused: Counter[str]
+) -> Mapping[int, Sequence[Observation]]:
+    """Return the observations of landmarks by the vertex of the pose; count the others."""
     ids = _landmark_ids(graph)
     landmarks: dict[int, list[Observation]] = defaultdict(list)
-    others: dict[int, list[RobotObservation]] = defaultdict(list)
-    unused['relative pose beside the trajectories'] += robots.unused
     for edge in graph.observations:
         if edge.begin in robots.names:
             landmark = _id_of(ids, edge.end, robots.names[edge.begin].robot)
             landmarks[edge.begin].append(Observation(landmark, edge.z, edge.R))
         else:
             unused['observation from a pose without odometry'] += 1
+    return landmarks
+
+
+def _robot_observations(
+    graph: Graph, robots: Trajectories, unused: Counter[str]
+) -> Mapping[int, Sequence[RobotObservation]]:
+    """Return the observations of robots by the vertex of the pose; count the others."""
+    others: dict[int, list[RobotObservation]] = defaultdict(list)
     for edge in graph.robot_observations:
         observer, observed = (robots.names.get(vertex) for vertex in (edge.begin, edge.end))
         if observer and observed and observer.stamp == observed.stamp:
             others[edge.begin].append(RobotObservation(observed.robot, edge.z, edge.R))
         else:
             unused['observation of a robot at another stamp'] += 1
-    result: list[Record] = []
-    for robot in robots.poses:
-        result += _odometry(robot, robots)
-    result += (
-        Scan(*robots.names[k], scan) for k, seen in landmarks.items() for scan in divided(seen))
-    result += (
-        RobotScan(*robots.names[k], scan) for k, seen in others.items() for scan in divided(seen))
-    return sorted(result, key=attrgetter('stamp'))
+    return others
 
 
 def settings(graph: Graph, robots: Trajectories) -> Settings:
