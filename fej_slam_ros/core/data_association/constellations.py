@@ -118,16 +118,13 @@ def shared_landmarks(
             _map(state, landmarks[-(of_smaller if len(landmarks) == fewer else of_larger):])
             for state, landmarks in zip((team, group), without_id))
         graph = _consistent(ours, theirs)
-        if np.square(graph.sum(axis=0)).sum() <= MAX_PATHS:
-            truss = _truss(graph, MIN_MATCHES)
-            if truss.nnz <= 2 * MAX_EDGES:
-                break
-    else:
-        return JoinFailure(TOO_MANY)
-    best = _best_hypothesis(ours, theirs, graph, truss)
-    if isinstance(best, JoinFailure):
-        return best
-    return {theirs.landmarks[j].key: ours.landmarks[i].key for i, j in zip(best.ours, best.theirs)}
+        truss = _bounded_truss(graph)
+        if truss is not None:
+            best = _best_hypothesis(ours, theirs, graph, truss)
+            return best if isinstance(best, JoinFailure) else {
+                theirs.landmarks[j].key: ours.landmarks[i].key
+                for i, j in zip(best.ours, best.theirs)}
+    return JoinFailure(TOO_MANY)
 
 
 def renamed(state: JointState, new_keys: Mapping[LandmarkKey, LandmarkKey]) -> JointState:
@@ -229,6 +226,14 @@ def _truss(graph: csr_array, k: int) -> csr_array:
             return graph
         graph = kept
         pause()
+
+
+def _bounded_truss(graph: csr_array) -> csr_array | None:
+    """Return the truss of `MIN_MATCHES`, None if it or the graph is too large to be searched."""
+    if np.square(graph.sum(axis=0)).sum() > MAX_PATHS:
+        return None
+    truss = _truss(graph, MIN_MATCHES)
+    return truss if truss.nnz <= 2 * MAX_EDGES else None
 
 
 def _triangles(graph: csr_array) -> csr_array:
