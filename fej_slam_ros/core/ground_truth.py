@@ -13,12 +13,12 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, between, Indices, interpolated, interpolated_all
 from fej_slam_ros.core.models import h
-from fej_slam_ros.core.records import LandmarkKey, RendezvousKey, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import LandmarkKey, NS, RendezvousKey, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.errors import UserError
 
 #: Longest gap between true poses [ns] across which they are interpolated.
-MAX_GAP = 500_000_000
+MAX_GAP = NS // 2
 
 #: Maximum number of true poses kept per robot; the oldest are dropped.
 MAX_TRUE_POSES = 10_000

@@ -155,7 +155,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
                     id_, outlier.d2, outlier.limit))
 
     def not_in_map(self) -> dict[str, str]:
-        """Return the reason for each robot that is not in ``map``."""
+        """Return the reason for each robot that is not in ``map``, the most specific one."""
         reasons = {name: self._no_odometry(name) for name in self.robots}
         reasons |= {
             name: 'it has no rendezvous with another robot'

@@ -60,6 +60,7 @@ def increments(data: MrclamSet, options: ConversionOptions, window: float) -> Wi
 def _increments(
     log: RobotLog, options: ConversionOptions, window: float
 ) -> tuple[Array, Array, Array]:
+    """Return the columns of `WindowIncrements` of one robot."""
     stamps, poses = odometry(log, options)
     # Edges, and with them the noise of commands, are the same for any delay that is searched.
     first = max(stamps[0], log.commands.stamps[0] + round(MAX_MOTION_DELAY * NS))
@@ -70,16 +71,12 @@ def _increments(
     truth, known = true_poses(log.truth, edges)
     # Motion in a long gap between commands is not an odometry error.
     used = known[:-1] & known[1:] & (commanded[:, 2] == 0.0)
-    true, measured = _differences(truth), _differences(poses_at(edges, stamps, poses))
+    true, measured = (
+        h_pose(x[:-1], x[1:]) for x in (truth, poses_at(edges, stamps, poses)))
     # A robot may turn by more than half a turn in a window.
     measured[:, 2] = np.diff(np.interp(edges, stamps, np.unwrap(poses[:, 2])))
     true[:, 2] = measured[:, 2] + wrap_all(true[:, 2] - measured[:, 2])
     return true[used], measured[used], commanded[used, :2]
-
-
-def _differences(poses: Array) -> Array:
-    """Return each later pose in the frame of the previous one, (n - 1, 3)."""
-    return h_pose(poses[:-1], poses[1:])
 
 
 def motion_delay(data: MrclamSet, options: ConversionOptions) -> float:

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, compose, wrap
-from fej_slam_ros.core.records import Observation, Odometry, Record, Scan
+from fej_slam_ros.core.records import NS, Observation, Odometry, Record, Scan
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.file_checks import errors_name, require_folder, require_landmark_ids
 from fej_slam_ros.datasets.matlab import joined_rows, matrices
@@ -26,8 +26,7 @@ from fej_slam_ros.errors import UserError
 
 #: Stamp of every robot's first pose and time between poses [ns]. They are synthetic: the two
 #: robots drove ten minutes apart.
-LOG_START = 1_000_000_000
-STEP_PERIOD = 200_000_000
+LOG_START, STEP_PERIOD = NS, NS // 5
 #: Covariances of an increment [m, m, rad] and of an observation [m, m].
 ODOMETRY_Q: Array = np.diag(np.square([0.075, 0.075, 0.015 * math.pi]))
 OBSERVATION_R: Array = np.diag(np.square([0.075, 0.075]))
@@ -118,7 +117,7 @@ def records(logs: Mapping[str, AssociatedLog]) -> Iterator[Record]:
 
 def _records(robot: str, log: AssociatedLog) -> Iterator[tuple[Record, ...]]:
     """Yield the records at each pose; a pose without observations has no scan."""
-    twist_covariance = ODOMETRY_Q / (STEP_PERIOD / 1e9) ** 2
+    twist_covariance = ODOMETRY_Q / (STEP_PERIOD / NS) ** 2
     poses = accumulate(log.increments, compose, initial=np.zeros(3))
     for k, (pose, observations) in enumerate(zip(poses, log.observations)):
         stamp = LOG_START + k * STEP_PERIOD
