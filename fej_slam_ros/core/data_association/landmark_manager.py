@@ -153,16 +153,23 @@ class LandmarkManager:
         result = _matched(
             filter_, scan.robot, unknown, landmarks, _log_odds(view, is_expected, len(unknown)),
             probability)
-        matched = [
-            replace(unknown[i], id=landmark.key[1]) for i, landmark in result.landmarks.items()]
-        new = [replace(unknown[i], id=self._new_id()) for i in result.new]
-        doubtful = [unknown[i] for i in result.doubtful]
         expected = [f for f, is_sure in zip(landmarks, is_expected) if is_sure]
         missed = _count_missed(expected, result)
         view.add_expected(len(expected), missed)
         statistics = _statistics(result, with_ids)
         if view.is_reliable():
             statistics = replace(statistics, expected=len(expected), missed=missed)
+        return self._with_assigned_ids(scan, unknown, with_ids, result, statistics)
+
+    def _with_assigned_ids(
+        self, scan: Scan, unknown: Sequence[Observation], with_ids: tuple[Observation, ...],
+        result: MatchingResult, statistics: ScanMatchStatistics,
+    ) -> AssociatedScan:
+        """Return a scan with IDs of matched and of new landmarks for its unknown observations."""
+        matched = [
+            replace(unknown[i], id=landmark.key[1]) for i, landmark in result.landmarks.items()]
+        new = [replace(unknown[i], id=self._new_id()) for i in result.new]
+        doubtful = [unknown[i] for i in result.doubtful]
         self._count(scan.robot, matched=len(matched), new=len(new), doubtful=len(doubtful))
         return AssociatedScan(
             replace(scan, observations=with_ids), replace(scan, observations=(*matched, *new)),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 from fej_slam_ros.core.ordering.corrected_observations import corrected
 from fej_slam_ros.core.ordering.odometry_increments import OdometryIncrements
-from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
+from fej_slam_ros.core.ordering.record_memory import identity, RecordIdentity, RecordMemory
 from fej_slam_ros.core.records import AnyScan, Motion, NS, Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
@@ -58,22 +58,12 @@ class RobotQueue:
     ) -> RejectionReason | None:
         """Insert a record by its stamp, or return the reason to reject it."""
         received = identity(record)
-        if self._memory.contains(received):
-            return RejectionReason.DUPLICATE
+        reason = self._reason_to_reject(record, received, max_observations)
+        if reason is not None:
+            return reason
         if isinstance(record, Odometry):
-            if self._memory.contains_stamp(received):
-                return RejectionReason.CONFLICTING
-            if self.odometry.is_past(record.stamp):
-                return self._too_late(record.stamp)
             self.odometry.add(record)
         else:
-            first, processed = self.odometry.first, self.odometry.processed
-            if first is not None and record.stamp < first:
-                return RejectionReason.BEFORE_ODOMETRY
-            if processed is not None and record.stamp <= processed:
-                return self._too_late(record.stamp)
-            if self._count_at(record.stamp) + len(record.observations) > max_observations:
-                return RejectionReason.TOO_LARGE
             insort(self._scans, record, key=lambda scan: scan.stamp)
             self._observations += len(record.observations)
         self._memory.add(received, self.odometry.is_past)
@@ -172,6 +162,25 @@ class RobotQueue:
     def resume(self) -> None:
         """Continue from a checkpoint, after which all input may be sent again."""
         self._resumed_after = self._memory.forgotten
+
+    def _reason_to_reject(
+        self, record: Odometry | AnyScan, received: RecordIdentity, max_observations: int
+    ) -> RejectionReason | None:
+        """Return why a record cannot be used, None if it can."""
+        if self._memory.contains(received):
+            return RejectionReason.DUPLICATE
+        if isinstance(record, Odometry):
+            if self._memory.contains_stamp(received):
+                return RejectionReason.CONFLICTING
+            return self._too_late(record.stamp) if self.odometry.is_past(record.stamp) else None
+        first, processed = self.odometry.first, self.odometry.processed
+        if first is not None and record.stamp < first:
+            return RejectionReason.BEFORE_ODOMETRY
+        if processed is not None and record.stamp <= processed:
+            return self._too_late(record.stamp)
+        if self._count_at(record.stamp) + len(record.observations) > max_observations:
+            return RejectionReason.TOO_LARGE
+        return None
 
     def _rate_of_scans(self) -> float:
         duration = self._scans[-1].stamp - self._scans[0].stamp
