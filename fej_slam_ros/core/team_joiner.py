@@ -82,25 +82,23 @@ class TeamJoiner:
         self._groups.is_initialized = True
         scans: InitialScans = {
             scan.robot: [
-                (key, s) for key, s in zip(
-                    team.filter.keys_of(scan),
-                    scan.observations)
+                (key, s) for key, s in zip(team.filter.keys_of(scan), scan.observations)
                 if s.id != NO_ID]
             for scan in step.scans}
+        used: Collection[LandmarkKey] = ()
         try:
             state = initialize(
                 team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
                 START_COVARIANCES[self._settings.start_covariance],
                 room_for_landmarks(self._groups.states(), self._settings.max_landmarks))
         except (InitialAlignmentError, EndedError):
-            self._restart_uncertain(step.stamp)
-            return ()
-        used: Collection[LandmarkKey] = ()
+            state = None
         if state is not None:
             others = [group.state for group in self._groups.others]
             marginalize(team.state.rendezvous_points, others)
             team.filter.state, used = state, {*state.landmarks}
         self._restart_uncertain(step.stamp)
+        # Groups of robots that step 0 has placed in ``map``.
         for group in [*self._groups.others]:
             if group.owner in team.robots.keys() & group.robots.keys():
                 self._join_via_robot(group, group.owner)
