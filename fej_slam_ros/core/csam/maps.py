@@ -112,10 +112,9 @@ class JointMap:
 
     def in_frame_of(self, pose: int) -> 'JointMap':
         """Return the map in the frame of one of its poses, which is fixed there."""
-        back = inverse(self.values.poses[pose])
         return replace(
-            self, problem=replace(self.problem, fixed_poses=(pose,)), values=Values(
-                transform_poses(back, self.values.poses), transform(back, self.values.points)))
+            self, problem=replace(self.problem, fixed_poses=(pose,)),
+            values=self.values.in_frame_of(self.values.poses[pose]))
 
     def led_by(self, robot: str) -> 'JointMap':
         """Return the map with one of its robots as the first, in the frame of its pose 0."""

@@ -12,7 +12,7 @@ from fej_slam_ros.core.csam.team_solution import SmoothedMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
-from fej_slam_ros.core.geometry import Array, inverse, rigid_fit, transform, transform_poses
+from fej_slam_ros.core.geometry import Array, rigid_fit, transform
 from fej_slam_ros.core.records import LandmarkKey, Motion, Observation, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing.factors import Values
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
@@ -121,10 +121,8 @@ class RobotTrajectory:
     def local_map(self, owner: str) -> LocalMap:
         """Return the robot's own map; `owner` is the first part of its landmark keys."""
         values = self._smoother.values()
-        to_own = inverse(values.poses[0])
         return LocalMap(
-            self._robot, self._smoother.problem(),
-            Values(transform_poses(to_own, values.poses), transform(to_own, values.points)),
+            self._robot, self._smoother.problem(), values.in_frame_of(values.poses[0]),
             self.landmark_keys(owner))
 
     def adopt(self, solved: SmoothedMap) -> None:

@@ -15,7 +15,8 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.gauss_newton import SingularError
-from fej_slam_ros.core.geometry import Array, Indices, wrap_all
+from fej_slam_ros.core.geometry import (
+    Array, Indices, inverse, transform, transform_poses, wrap_all)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -24,6 +25,11 @@ class Values:
 
     poses: Array
     points: Array
+
+    def in_frame_of(self, pose: Array) -> 'Values':
+        """Return the values in the frame of a pose (3,) that is given in the present one."""
+        back = inverse(pose)
+        return Values(transform_poses(back, self.poses), transform(back, self.points))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
