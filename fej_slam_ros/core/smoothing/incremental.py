@@ -131,23 +131,13 @@ class IncrementalSmoother:
             pose; by default it is not known, and only landmarks that both have determine it
 
         """
-        values, problem, first = later.values(), later.problem(), len(self)
-        poses = transform_poses(g, values.poses)
+        poses = transform_poses(g, later.values().poses)
         last = self._poses[-1] if self._poses else self._solved.poses[-1]
-        self._new_increments.append((first - 1, first, between(last, poses[0]), Q))
+        self._append_measurements(later, between(last, poses[0]), Q)
         turn = G(last[2])
         P = turn @ Q @ turn.T  # of the poses from then on, in this frame
-        self._new_increments += [
-            (first + k, first + k + 1, u, Q)
-            for k, (u, Q) in enumerate(zip(problem.odometry.z, problem.odometry.R))]
         self._poses += [*poses]
         self._P += [P] * len(poses)
-        ids, factors = [*later.landmark_index], problem.landmarks
-        for pose, target, z, R in zip(
-                factors.pose.tolist(), factors.target.tolist(), factors.z, factors.R):
-            index = self.landmark_index.setdefault(ids[target], len(self.landmark_index))
-            self._new_observations.append((first + pose, index, z, R))
-        self._observed_from += (first + np.unique(factors.pose)).tolist()
         self._passed = None
         self._newest = NewestPose(
             compose(g, later.pose), (), np.zeros((0, 2)), NearMarginal.of_pose(P))
@@ -249,6 +239,22 @@ class IncrementalSmoother:
             self._new_observations.append((newest, index, observation.z, observation.R))
         if observations:
             self._observed_from.append(newest)
+
+    def _append_measurements(
+        self, later: 'IncrementalSmoother', u: Array, Q: Array
+    ) -> None:
+        """Append all measurements since a motion u (3,) with covariance Q (3, 3)."""
+        problem, first, ids = later.problem(), len(self), [*later.landmark_index]
+        odometry, factors = problem.odometry, problem.landmarks
+        self._new_increments.append((first - 1, first, u, Q))
+        self._new_increments += [
+            (pose, pose + 1, z, R)
+            for pose, (z, R) in enumerate(zip(odometry.z, odometry.R), start=first)]
+        for pose, target, z, R in zip(
+                factors.pose.tolist(), factors.target.tolist(), factors.z, factors.R):
+            index = self.landmark_index.setdefault(ids[target], len(self.landmark_index))
+            self._new_observations.append((first + pose, index, z, R))
+        self._observed_from += (first + np.unique(factors.pose)).tolist()
 
     def _is_solution_due(self) -> bool:
         """Return whether too many poses with observations are not in the last full solution."""
