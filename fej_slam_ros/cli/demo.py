@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 import json
 from pathlib import Path
+import sys
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
@@ -85,7 +86,11 @@ def run(arguments: argparse.Namespace) -> int:
     require_matplotlib()
     with OutputLock.of_folder(output):
         refuse_existing([output / PICTURE, *result_paths(output, ROBOTS)], arguments.force)
-        _run(SENSORS[arguments.sensor], output)
+        try:
+            _run(SENSORS[arguments.sensor], output)
+        except KeyboardInterrupt:
+            print('interrupted: the nodes have ended, there are no results', file=sys.stderr)
+            raise
     return 0
 
 
@@ -101,8 +106,7 @@ def _run(sensor: Sensor, output: Path) -> None:
         print(
             f'simulating {len(world.robots)} robots among {len(world.landmarks)} landmarks for'
             f' {seconds:.0f} s at {simulated.speed:g} times real time')
-        if not run_processes(parameters, world.robots, seconds):
-            return
+        run_processes(parameters, world.robots, seconds)
         _draw(files / PICTURE, sensor.title, files / 'results', world, simulated)
         summary = json.loads((files / 'results' / 'summary.json').read_text(encoding='utf-8'))
         for path in [*(files / 'results').iterdir(), files / PICTURE]:
