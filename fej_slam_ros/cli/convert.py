@@ -4,7 +4,7 @@
 Convert a data set, or bags of single robots, into a rosbag2.
 
 BAG.yaml beside the bag holds the parameters to run it with, as in
-replay BAG --params BAG.yaml --output DIR
+  replay BAG --params BAG.yaml --output DIR
 """
 
 from argparse import ArgumentParser, Namespace

@@ -9,9 +9,7 @@ A verb is a module beside this one, listed in VERBS: a docstring, whose first li
 so ``replay`` works without rclpy and the help is fast.
 """
 
-import argparse
 import ast
-from difflib import get_close_matches
 import errno
 from importlib import import_module
 from importlib.resources import files
@@ -23,6 +21,7 @@ import sys
 
 from fej_slam_ros import __version__
 from fej_slam_ros.atomic_files import disk_error
+from fej_slam_ros.cli.parser import Formatter, Parser
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import handled, interrupt, INTERRUPTS, postponed
 
@@ -60,16 +59,13 @@ def main() -> int:
     """Run ``fej_slam VERB ...`` and return the exit status."""
     is_module = Path(sys.argv[0]).name == '__main__.py'
     command = 'python3 -m fej_slam_ros' if is_module else 'fej_slam'
-    parser = argparse.ArgumentParser(prog=command, description='SLAM for a team of robots.')
+    parser = Parser(prog=command, description='SLAM for a team of robots.')
     parser.add_argument('--version', action='version', version=__version__)
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
     for verb in VERBS:
         verbs.add_parser(verb, help=_summary(verb), add_help=False)
-    first = sys.argv[1:2]
-    if first and first[0] not in VERBS and (alike := get_close_matches(first[0], VERBS, 1)):
-        parser.error(f'there is no verb {first[0]}, did you mean {alike[0]}?')
     # The verb's own parser handles the rest.
-    verb = parser.parse_args(first).verb
+    verb = parser.parse_args(sys.argv[1:2]).verb
     return _run(f'{command} {verb}', verb, sys.argv[2:])
 
 
@@ -149,9 +145,9 @@ def _end() -> None:
 def _call(command: str, verb: str, words: list[str]) -> int:
     with postponed():
         module = import_module(f'fej_slam_ros.cli.{verb}')
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         prog=command, description=inspect.getdoc(module), allow_abbrev=False,
-        formatter_class=argparse.RawDescriptionHelpFormatter)
+        formatter_class=Formatter)
     module.add_arguments(parser)
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
     arguments, unknown = parser.parse_known_args(words[:ros])

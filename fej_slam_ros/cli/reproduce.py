@@ -97,7 +97,7 @@ def add_arguments(parser: ArgumentParser) -> None:
         '--output', type=output_folder, required=True, metavar='DIR',
         help='folder for the results')
     parser.add_argument(
-        '--only', nargs='+', metavar='ENVIRONMENT/LANDMARKS',
+        '--only', nargs='+', metavar='WORLD',
         choices=[str(configuration) for configuration in CONFIGURATIONS],
         help=f'only these of the experiments {", ".join(map(str, CONFIGURATIONS))}')
     monte_carlo.add_arguments(parser)

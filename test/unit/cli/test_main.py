@@ -257,7 +257,7 @@ def test_the_nearest_verb_is_named(monkeypatch, capsys):
     with pytest.raises(SystemExit, match='2'):
         main()
 
-    assert capsys.readouterr().err.endswith('there is no verb replya, did you mean replay?\n')
+    assert capsys.readouterr().err.endswith('there is no replya, did you mean replay?\n')
 
 
 def test_help_imports_neither_numpy_nor_rclpy():
