@@ -30,7 +30,7 @@ from fej_slam_ros.ros.session.input_faults import reasons_in_words
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.rejection_cures import description_and_cure
 from fej_slam_ros.ros.session.session import Session
-from fej_slam_ros.ros.session.topic_flow import SENT_AGAIN
+from fej_slam_ros.ros.session.topic_flow import SENT_AGAIN, TopicFlow
 from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 
 SessionT = TypeVar('SessionT', bound=Session)
@@ -173,9 +173,7 @@ def process(
 
 def require_use(arguments: argparse.Namespace, sessions: Sequence[Session]) -> None:
     """Raise a `UserError` if all odometry or all scans of the bag were rejected."""
-    flows = [
-        (kind, flow) for session in sessions for health in session.inputs.health.robots.values()
-        for kind, flow in health.flows.items() if flow.received]
+    flows = _flows(sessions)
     for kinds in ('odom',), OBSERVATION_TOPICS:
         rejected = [flow.rejected_in_a_row for kind, flow in flows if kind in kinds]
         received = sum(flow.received for kind, flow in flows if kind in kinds)
@@ -188,6 +186,23 @@ def require_use(arguments: argparse.Namespace, sessions: Sequence[Session]) -> N
                 f'all {received} messages on {" and ".join(topics)} are rejected:'
                 f' {reasons_in_words(reasons)}: {cure}; fej_slam doctor {arguments.bag} --params'
                 f' {arguments.params} checks the bag')
+
+
+def warn_of_odometry_only(arguments: argparse.Namespace, sessions: Sequence[Session]) -> None:
+    """Warn that the robots have observed nothing."""
+    scans = [flow for kind, flow in _flows(sessions) if kind in OBSERVATION_TOPICS]
+    if not any(flow.observations or flow.rejected_in_a_row for flow in scans):
+        logging.getLogger(__name__).warning(
+            '%s has no observations of landmarks or robots, so all poses are those of odometry'
+            ' alone: fej_slam doctor %s --params %s names the cause',
+            arguments.bag, arguments.bag, arguments.params)
+
+
+def _flows(sessions: Iterable[Session]) -> list[tuple[str, TopicFlow]]:
+    """Return the last part of each topic with messages, and these."""
+    return [
+        (kind, flow) for session in sessions for health in session.inputs.health.robots.values()
+        for kind, flow in health.flows.items() if flow.received]
 
 
 def _folder(output: Path, number: int) -> Path:

@@ -158,7 +158,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         """Return the reason for each robot that is not in ``map``, the most specific one."""
         reasons = {name: self._no_odometry(name) for name in self.robots}
         reasons |= {
-            name: 'it has no rendezvous with another robot'
+            name: self._no_rendezvous(name)
             for name, trajectory in self.trajectories.items()
             if len(trajectory.stamps) > 1 or not self.statistics.rejected[name]}
         for pair in sorted(self._observed_pairs):
@@ -206,6 +206,14 @@ class TeamSmoother(TeamInput[PoseEstimate]):
     def _known(self) -> list[str]:
         """Return the robots of the team, then those that have left it."""
         return [*self.robots, *(name for name in self.trajectories if name not in self.robots)]
+
+    def _no_rendezvous(self, name: str) -> str:
+        """Return the reason why the map of a robot is not joined with another one."""
+        if not self.statistics.observations_used[name]:
+            return 'it has observed no landmark or robot'
+        if len(self.robots) == 1:
+            return 'it is the only robot, and stays in its own frame'
+        return 'it has no rendezvous with another robot'
 
     def _no_odometry(self, name: str) -> str:
         """Return the reason why a robot has no trajectory, or one of a single pose."""

@@ -56,12 +56,15 @@ def load_values(
 ) -> dict[str, object]:
     """Return the flat parameters in a ROS parameter file for some nodes, values unchecked."""
     names = [f'{namespace.rstrip("/")}/{node}' for node in nodes]
+    parameters = _parameters(path)
     values = {
-        name: value for section, name, value in _parameters(path)
+        name: value for section, name, value in parameters
         if any(_applies(section, node) for node in names)}
     if not values:
+        sections = ', '.join(dict.fromkeys(section for section, _, _ in parameters))
         raise UsageError(
-            f'no parameters for the node {nodes[-1]!r}: {PLACE}')
+            f'no parameters for the node {nodes[-1]!r}'
+            + (f', only for {sections}: ' if sections else ': ') + PLACE)
     # Offline they have a meaning all the same, but a node would not start with this file.
     for name, value in values.items():
         if _is_mixed(value):

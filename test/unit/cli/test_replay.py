@@ -142,6 +142,18 @@ def test_input_that_is_all_rejected_is_an_error_after_the_files_are_written(
     assert summary()['counts'][reason[2:]] == int(reason[0])
 
 
+def test_a_bag_of_odometry_only_is_named_with_the_check_for_it(replay, places, caplog):
+    bag, params, _ = places
+
+    status, table, _ = replay([odom(ms) for ms in (0, 100, 200)] + [scan(50)])
+
+    assert status == 0
+    assert caplog.messages[-1] == (
+        f'{bag} has no observations of landmarks or robots, so all poses are those of odometry'
+        f' alone: fej_slam doctor {bag} --params {params} names the cause')
+    assert table.splitlines()[-1].startswith('state hash ')
+
+
 def odom(ms, received=390, **fields):
     return raw('r1/odom', odometry_message(ms, **fields), received)
 

@@ -226,6 +226,19 @@ def test_robots_that_did_not_meet_are_reported(smooth, places):
     assert 'rmse' not in summary_of(places[2])
 
 
+@pytest.mark.parametrize(('kinds', 'reason'), [
+    (['odom'], 'it has observed no landmark or robot'),
+    (['odom', 'landmarks'], 'it is the only robot, and stays in its own frame')])
+def test_a_robot_alone_has_not_missed_a_rendezvous(smooth, caplog, kinds, reason):
+    own = [m for m in CIRCLES if m.topic in {f'r1/{kind}' for kind in kinds}]
+
+    status, said, _ = smooth(own, robots=['r1'])
+
+    assert status == 0
+    assert f'r1 is not in map: {reason}\n' in said
+    assert ('has no observations of landmarks or robots' in caplog.text) == (kinds == ['odom'])
+
+
 def test_a_robot_alone_is_drawn_with_its_map_in_its_own_frame(smooth, places, monkeypatch):
     pytest.importorskip('matplotlib', reason='matplotlib is not installed')
     drawn = []

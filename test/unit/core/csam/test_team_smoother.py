@@ -146,6 +146,12 @@ def test_ids_of_each_robot_do_not_join_maps():
     assert set(smoother.not_in_map().values()) == {'it has no rendezvous with another robot'}
 
 
+def test_a_robot_that_observed_nothing_has_not_missed_a_rendezvous():
+    smoother, _ = smoothed([r for r in RECORDS if isinstance(r, Odometry)])
+
+    assert set(smoother.not_in_map().values()) == {'it has observed no landmark or robot'}
+
+
 def test_a_robot_whose_odometry_is_rejected_is_told_so():
     smoother = TeamSmoother(team())
     # The first message has no increment, and so no covariance.

@@ -114,6 +114,7 @@ def test_the_namespace_of_the_node_chooses_the_sections(file, section, applies):
         ('', "no parameters for the node 'estimator': put them under /**: and ros__parameters:"),
         ('robots: [r1]\n', "no parameters for the node 'estimator'"),
         ('simulator:\n  ros__parameters:\n    robots: [r1]\n', "for the node 'estimator'"),
+        ('estimatr:\n  ros__parameters:\n    robots: [r1]\n', 'only for /estimatr: put them'),
         ('/**:\n  ros__parameters:\n', "no parameters for the node 'estimator'"),
         ('- robots\n', "no parameters for the node 'estimator'"),
         ('/**:\n\tros__parameters: {}\n', 'correct line 2, which is not YAML: '),
