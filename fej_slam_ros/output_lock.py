@@ -62,9 +62,11 @@ class OutputLock:
 
     @classmethod
     def of_folder(cls, folder: Path) -> 'OutputLock':
-        """Lock a folder for files; UsageError if it is a rosbag2, of which they would be part."""
+        """Lock a folder for files; UsageError if it is a file, or a rosbag2 with other files."""
         with writing(folder):
-            is_bag = (folder / 'metadata.yaml').exists()
+            is_file, is_bag = folder.is_file(), (folder / 'metadata.yaml').exists()
+        if is_file:
+            raise UsageError(f'{folder} is a file: choose a folder for the results')
         if is_bag:
             raise UsageError(f'{folder} is a rosbag2: choose another folder for the results')
         return cls(folder, folder / '.lock')

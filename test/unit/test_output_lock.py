@@ -69,6 +69,15 @@ def test_a_released_lock_leaves_no_file_and_no_folder(tmp_path, lock):
     assert not [*tmp_path.iterdir()]
 
 
+def test_a_file_is_no_folder_and_stays(tmp_path):
+    file = tmp_path / 'out'
+    file.write_text('of the user')
+
+    with pytest.raises(UsageError, match='out is a file: choose a folder for the results'):
+        OutputLock.of_folder(file)
+    assert file.read_text() == 'of the user'
+
+
 def test_a_folder_with_files_stays(tmp_path):
     with OutputLock.of_folder(tmp_path / 'out'):
         (tmp_path / 'out' / 'file').write_text('')

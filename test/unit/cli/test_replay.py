@@ -397,10 +397,10 @@ def test_a_picture_is_neither_overwritten_nor_deleted_without_force(replay, plac
     assert contents(places[2]) == {'scene.png': b'of an earlier run'}
 
 
-def test_an_unwritable_output_is_reported(replay, places):
+def test_a_file_as_output_is_a_wrong_argument(replay, places):
     places[2].write_text('')
 
-    assert_one_sentence(replay(), 1, f'cannot write to {places[2]}')
+    assert_one_sentence(replay(), 2, f'{places[2]} is a file: choose a folder for the results')
 
 
 def test_a_filter_without_its_ground_truth_is_reported_and_leaves_no_results(replay, places):

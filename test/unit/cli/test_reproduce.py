@@ -227,10 +227,9 @@ def test_an_output_that_is_not_a_folder_is_rejected(reproduce, tmp_path):
 
     status, _, errors = reproduce('observability')
 
-    assert status == 1
+    assert status == 2
     assert errors == (
-        f'reproduce: cannot write to {tmp_path / "out"}: File exists:'
-        ' choose a path that can be written\n')
+        f'reproduce: {tmp_path / "out"} is a file: choose a folder for the results\n')
 
 
 def test_earlier_results_are_replaced_only_with_force(reproduce, tmp_path):
