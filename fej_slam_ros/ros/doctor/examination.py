@@ -161,6 +161,8 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
         explained |= EFFECTS_ON_FIT
     if errors:
         explained |= EFFECTS_OF_ERRORS
+    if errors - {team.NOTHING_USED}:
+        explained.add(team.NOTHING_USED)
     # A detector that rejects all scans of a robot writes no landmarks.
     explained_at = {
         ('no_landmarks', f'{finding.where.rpartition("/")[0]}/landmarks')

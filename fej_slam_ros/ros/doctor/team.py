@@ -32,8 +32,8 @@ MAX_CONTRADICTED_IDS = 4
 MIN_COMMON_IDS, MAX_DIFFERENCE = 5, 0.2
 #: Minimum number of IDs on <robot>/robots, and more than robots, that are those of landmarks.
 MIN_LANDMARK_IDS = 8
-EXCHANGED_TOPICS = 'exchanged_topics'
-DOES_NOT_FIT = 'does_not_fit'
+EXCHANGED_TOPICS, DOES_NOT_FIT, NOTHING_USED = (
+    'exchanged_topics', 'does_not_fit', 'nothing_used')
 
 
 def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]:
@@ -54,6 +54,11 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
         yield error(
             'blind_anchor', anchor, 'the anchor never observes a landmark',
             'choose another robot for the parameter anchor, or check its detector')
+    if not any(trial.estimator.statistics.observations_used.values()):
+        yield error(
+            NOTHING_USED, 'all robots',
+            'the estimator uses no observation: all poses are those of odometry alone',
+            'correct what the warnings name, and check the detectors')
     yield from _repeated_poses(trial)
     for name in trial.estimator.robots:
         yield from _restarts(name, trial)

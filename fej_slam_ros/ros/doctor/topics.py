@@ -10,7 +10,7 @@ from fej_slam_ros.ros.files import bags, front_end_topics
 from fej_slam_ros.ros.files.bags import BagTopic
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.topic_types import INITIALPOSE, SENT_TOPICS, TRUE_LANDMARKS
+from fej_slam_ros.ros.topic_types import INITIALPOSE, SENT_TOPICS, TF, TRUE_LANDMARKS
 
 
 def check(
@@ -31,7 +31,7 @@ def check(
                 'no_odometry', f'{robot}/odom', _missing(topics, f'{robot}/odom'),
                 recorded.cure(robot))
         if f'{robot}/landmarks' not in filled:
-            yield _no_landmarks(topics, filled, robot)
+            yield _no_landmarks(topics, filled, robot, recorded)
     if INITIALPOSE in filled and len(robots) > 1 and not initialpose_robot:
         yield warning(
             'not_used', INITIALPOSE, 'it is for none of several robots',
@@ -62,23 +62,34 @@ def _unknown_robots(
             yield warning(
                 'unknown_robot', name, 'it has topics, but is not in the parameter robots',
                 f'add {name} to the parameter robots to include it')
-    for name, odometry in recorded.unknown_robots().items():
+    for name, (odometry, options) in recorded.unknown_robots().items():
         if name not in robots_in(topics):
             yield warning(
                 'unknown_robot', odometry, 'it has odometry of no robot in the parameter robots',
-                f'add {name} to the parameter robots, and --remap /{odometry}:=/{name}/odom')
+                f'add {name} to the parameter robots, and {options}')
 
 
-def _no_landmarks(topics: Mapping[str, BagTopic], filled: set[str], robot: str) -> Finding:
+def _no_landmarks(
+    topics: Mapping[str, BagTopic], filled: set[str], robot: str, recorded: RecordedRobots
+) -> Finding:
     observes_robots = f'{robot}/robots' in filled
     others_have_landmarks = any(topic.endswith('/landmarks') for topic in filled)
     return error_if(others_have_landmarks or not observes_robots)(
         'no_landmarks', f'{robot}/landmarks',
         f'{_missing(topics, f"{robot}/landmarks")}, so {robot} observes'
         f' {"no landmarks" if observes_robots else "neither landmarks nor robots"}',
-        front_end_topics.cure(topics, robot) or
+        recorded.landmarks_cure(robot) or front_end_topics.cure(topics, robot) or
         f'record sensor_msgs/PointCloud2 on {robot}/landmarks, or give the topic that has it with'
-        ' --remap; if a camera saw AprilTags, adapt computes it from the transforms on /tf')
+        f' --remap{_tags_cure(topics, robot)}')
+
+
+def _tags_cure(topics: Mapping[str, BagTopic], robot: str) -> str:
+    """Return how landmarks are computed of AprilTags, '' if the bag can have none."""
+    if any(topic in topics for topic in (TF, f'{robot}/{TF}')):
+        return '; if a camera saw AprilTags, adapt computes it from the transforms on /tf'
+    if any('apriltag' in topic.type_name.lower() for topic in topics.values()):
+        return '; for the AprilTags record /tf, too, from which adapt computes it'
+    return ''
 
 
 def _missing(topics: Mapping[str, BagTopic], topic: str) -> str:

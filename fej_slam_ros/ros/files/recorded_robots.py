@@ -109,6 +109,17 @@ class RecordedRobots:
             'choose the topics of each robot with --remap, for example'
             f' --remap /{topic}:=/{[*robots, *self.missing][0]}/odom')
 
+    def landmarks_cure(self, robot: str) -> str:
+        """Return how to read a topic as the landmarks of a robot, '' if no single one may be."""
+        if robot in self.missing:
+            return self.cure(robot) if self._group_of(robot).observations else ''
+        groups = self._groups.values() if len(self._team) == 1 else [
+            self._groups.get(robot, RobotTopics())]
+        found = [
+            topic for group in groups for topic in group.observations
+            if topic.rpartition('/')[2] != 'robots']
+        return f'add --remap /{found[0]}:=/{robot}/landmarks' if len(found) == 1 else ''
+
     def recorded_names(self) -> dict[str, str]:
         """Return the recorded name of each robot: the first part of its odometry topic."""
         owners = {robot: robot for robot in self._team}
@@ -120,11 +131,15 @@ class RecordedRobots:
                 owners[robot] = owner
         return owners
 
-    def unknown_robots(self) -> dict[str, str]:
-        """Return the odometry topics of robots outside a complete team that have observations."""
+    def unknown_robots(self) -> dict[str, tuple[str, str]]:
+        """Return odometry and cure of robots with observations outside a complete team."""
         return {} if self.missing else {
-            name: self._groups[name].odometry[0] for name in self._unknown()
-            if self._groups[name].observations}
+            name: (self._groups[name].odometry[0], self._joined_options(name))
+            for name in self._unknown() if self._groups[name].observations}
+
+    def _joined_options(self, robot: str) -> str:
+        odometry = self._groups[robot].odometry[0]
+        return ' '.join(self._options(robot)) or f'--remap /{odometry}:=/{robot}/odom'
 
     def _unknown(self) -> list[str]:
         """Return the groups with odometry that could be robots outside the team."""

@@ -16,7 +16,7 @@ from helpers.faults import (
     in_degrees, in_map, in_whole_seconds, kept, looped, moved, NS, of_type_pose, out_of_order,
     planted, positions, recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose,
     with_poses, without)
-from helpers.ros import run_verb, write_bag, write_parameters
+from helpers.ros import empty_cloud, run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
 
@@ -449,6 +449,17 @@ def test_what_is_wrong_in_the_file_is_written_once(doctor, tmp_path, caplog):
     mixed, old = caplog.messages
     assert mixed.startswith(f"{params}: parameter 'anchor_pose' mixes integers and floats")
     assert old.startswith(f"{params}: parameter 'second_look' is deprecated")
+
+
+def test_a_bag_of_which_no_observation_is_used_is_an_error(doctor, tmp_path):
+    empty = each('r1/landmarks', lambda entry: setattr(entry, 'message', empty_cloud(
+        entry.logged // 10**6)))
+    of_r1 = [entry for entry in entries(C) if entry.topic in {'r1/odom', 'r1/landmarks'}]
+
+    status, found, _ = doctor(planted(tmp_path / 'empty', empty(of_r1)))
+
+    assert status == 1
+    assert [f['name'] for f in found] == ['nothing_used', 'sees_nothing']
 
 
 def test_a_bag_without_robots_is_reported_in_one_sentence(doctor, tmp_path):
