@@ -22,6 +22,9 @@ PLAYED_DEPTH = 1000
 CLOCK_PERIOD = 0.025
 #: Period of the check for subscribers [s].
 SUBSCRIBER_CHECK_PERIOD = 0.05
+#: Longest wait [s] until all known subscribers are connected; those of incompatible quality of
+#: service never are.
+MAX_CONNECTION_WAIT = 10.0
 #: Wait [s] after the publishers have discovered all subscribers, for discovery the other way.
 DISCOVERY_WAIT = 0.5
 #: Period of the log message about topics without a subscriber [s].
@@ -62,7 +65,7 @@ class Player:
             if clock else None)
 
     def wait_for_subscribers(self, stopped: Stop) -> None:
-        """Wait until each topic has a subscriber."""
+        """Wait until each topic has a subscriber, and all that are known are connected."""
         remind_at = monotonic() + REMINDER_PERIOD
         while missing := self._unsubscribed():
             self._spin(monotonic() + SUBSCRIBER_CHECK_PERIOD, stopped)
@@ -73,6 +76,7 @@ class Player:
                     f'waiting for subscribers of {", ".join(missing)}; to begin without them, give'
                     f' {self._no_wait}')
                 remind_at += REMINDER_PERIOD
+        self._wait_for_connections(stopped)
         self._spin(monotonic() + DISCOVERY_WAIT, stopped)
 
     def run(self, messages: Iterable[RawMessage], wait: bool, stopped: Stop) -> None:
@@ -93,6 +97,29 @@ class Player:
                 break
             self._publishers[message.topic].publish(message.raw)
         wait_for_arrival(self._publishers.values(), stopped.is_set)
+
+    def _wait_for_connections(self, stopped: Stop) -> None:
+        """Wait until all known subscribers are connected, also to /clock; name the others."""
+        give_up = monotonic() + MAX_CONNECTION_WAIT
+        while (missing := self._unconnected()) and not stopped.is_set():
+            if monotonic() > give_up:
+                self._node.get_logger().warning(
+                    f'not all subscribers are connected: {"; ".join(missing)}: check their types'
+                    ' and quality of service')
+                return
+            self._spin(monotonic() + SUBSCRIBER_CHECK_PERIOD, stopped)
+
+    def _unconnected(self) -> list[str]:
+        """Return the topics with more subscribers than are connected, with their nodes."""
+        found = []
+        for publisher in [*self._publishers.values(), *filter(None, [self._clock])]:
+            known = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
+            connected = publisher.get_subscription_count()
+            if len(known) > connected:
+                nodes = ', '.join(sorted(subscriber.node_name for subscriber in known))
+                found.append(
+                    f'{connected} of {len(known)} of {publisher.topic_name} ({nodes})')
+        return found
 
     def _unsubscribed(self) -> list[str]:
         """Return the topics without a subscriber."""

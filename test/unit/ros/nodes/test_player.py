@@ -114,6 +114,45 @@ def test_playing_waits_until_every_topic_has_a_subscriber(domain, node):
     assert next(ticks) > 3
 
 
+@pytest.fixture
+def connecting(domain, node, monkeypatch):
+    """Return a player with a subscriber that is connected, and one of /clock that never is."""
+    monkeypatch.setattr(player, 'DISCOVERY_WAIT', 0.0)
+    domain.listen('r1/odom', ODOMETRY)
+    playing = player.Player(node, {'r1/odom': ODOMETRY}, (), 1.0, clock=True)
+    # A volatile publisher does not offer what this subscription requests.
+    refused = domain.node.create_subscription(
+        live_helpers.message_class(CLOCK), '/clock', print, qos.reliable(1, latched=True))
+    domain.until(lambda: node.count_subscribers('/clock'))
+    return playing, refused
+
+
+def test_playing_waits_until_all_known_subscribers_are_connected(
+        connecting, domain, node, capfd):
+    playing, refused = connecting
+    ticks = count()
+
+    def tick():
+        if next(ticks) == 3:
+            domain.node.destroy_subscription(refused)
+
+    node.create_timer(0.01, tick)
+    playing.wait_for_subscribers(process.Stop())
+
+    assert next(ticks) > 3
+    assert 'connected' not in capfd.readouterr().err
+
+
+def test_a_subscriber_that_is_not_connected_in_time_is_named(connecting, monkeypatch, capfd):
+    monkeypatch.setattr(player, 'MAX_CONNECTION_WAIT', 0.0)
+    playing, _ = connecting
+
+    playing.wait_for_subscribers(process.Stop())
+
+    warned, = (line for line in capfd.readouterr().err.splitlines() if 'WARN' in line)
+    assert 'not all subscribers are connected: 0 of 1 of /clock (' in warned
+
+
 def test_a_topic_without_subscriber_is_named_with_the_way_to_begin_without(
         node, monkeypatch, capfd):
     monkeypatch.setattr(player, 'REMINDER_PERIOD', 0.0)
