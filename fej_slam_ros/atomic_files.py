@@ -30,6 +30,12 @@ CURES = {
 OTHER_CURE = 'choose a path that can be written'
 
 
+def short_path(path: Path) -> Path:
+    """Return an absolute path, or one relative to the current folder if it is below that."""
+    absolute, here = path.resolve(), Path.cwd()
+    return absolute.relative_to(here) if here in absolute.parents else absolute
+
+
 def refuse_existing(paths: Iterable[Path], force: bool | None) -> None:
     """Raise UsageError if a file or folder exists, unless forced; None: there is no --force."""
     for path in paths:

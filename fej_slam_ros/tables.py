@@ -4,22 +4,47 @@
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 import math
+import textwrap
 
 #: Cells of a row of a CSV file by column; None where a row is too short.
 Cells = Mapping[str, str | None]
 #: Largest magnitude of a number in a cell, far beyond any unit: squares of products stay finite.
 MAX_NUMBER = 1e60
+#: Maximum width of a table [characters], and up to which a heading stays on one line beyond.
+MAX_WIDTH, MIN_HEADING = 100, 7
 #: Largest integer in an array
 MAX_INTEGER = 2 ** 63 - 1
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Return an aligned table; the first column is left-aligned, the others right-aligned."""
-    lines = [head, *rows]
-    widths = [max(map(len, column)) for column in zip(*lines)]
+    """
+    Return an aligned table; the first column is left-aligned, the others right-aligned.
+
+    The headings of one that would be too wide are several lines high.
+
+    """
+    body = [*rows]
+    widths = _widths([head, *body])
+    lines = [head, *body]
+    if sum(widths) + 2 * (len(widths) - 1) > MAX_WIDTH:
+        lines = [*_stacked(head, _widths([['' for _ in head], *body])), *body]
+        widths = _widths(lines)
     return '\n'.join(
         '  '.join([first.ljust(widths[0]), *map(str.rjust, others, widths[1:])])
         for first, *others in lines)
+
+
+def _widths(lines: Iterable[Sequence[str]]) -> list[int]:
+    return [max(map(len, column)) for column in zip(*lines)]
+
+
+def _stacked(head: Sequence[str], widths: Sequence[int]) -> Iterable[Sequence[str]]:
+    """Return lines of headings about as narrow as the cells below them; words stay whole."""
+    parts = [
+        textwrap.wrap(title, max(width, MIN_HEADING), break_long_words=False)
+        for title, width in zip(head, widths)]
+    height = max(map(len, parts))
+    return zip(*([''] * (height - len(part)) + part for part in parts))
 
 
 def markdown_table(

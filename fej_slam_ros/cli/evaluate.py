@@ -25,7 +25,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.atomic_files import csv_bytes, figure, json_bytes, refuse_existing, write_all
+from fej_slam_ros.atomic_files import (
+    csv_bytes, figure, json_bytes, refuse_existing, short_path, write_all)
 from fej_slam_ros.cli.arguments import number_option, output_folder, require_matplotlib
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.geometry import Array
@@ -93,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
         require_matplotlib('give --no-plots')
     is_bag = run_results.is_bag(path)
     output: Path = arguments.output or (
-        Path(f'{path.resolve()}_evaluation') if is_bag else path / 'evaluation')
+        short_path(Path(f'{path.resolve()}_evaluation')) if is_bag else path / 'evaluation')
     with OutputLock.of_folder(output):
         refuse_existing([output / 'evaluation.json'], arguments.force)
         return _evaluate(arguments, is_bag, output)
@@ -160,7 +161,7 @@ def _sources(arguments: argparse.Namespace) -> Sources:
             run_results.refuse_other_folder(run)
         raise UserError(
             f'{run} has no ground truth, and its input bag is unknown or missing:'
-            ' give the truth with --truth')
+            f' give the truth {recorded_truth.TRUTH_OR_NIS}')
     return Sources(run_names, truth, given or stored)
 
 

@@ -84,6 +84,15 @@ def test_of_some_files_all_are_replaced_or_none(tmp_path):
     assert len([*tmp_path.rglob('*')]) == 5
 
 
+def test_paths_below_the_current_folder_are_shown_as_users_type_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    assert atomic_files.short_path(tmp_path / 'bag').as_posix() == 'bag'
+    assert atomic_files.short_path(tmp_path / 'out' / '..' / 'bag').as_posix() == 'bag'
+    assert atomic_files.short_path(tmp_path) == tmp_path
+    assert atomic_files.short_path(tmp_path.parent / 'bag') == tmp_path.parent / 'bag'
+
+
 @pytest.mark.parametrize('write', [
     lambda path: atomic_files.write_bytes(path, NEW),
     lambda path: atomic_files.refuse_existing([path], force=True)])

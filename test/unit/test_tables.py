@@ -16,6 +16,17 @@ def test_first_column_is_left_aligned_and_the_others_right_aligned(head, rows, t
     assert text_table(head, rows) == text
 
 
+def test_headings_of_a_wide_table_are_stacked():
+    head = ['robot', *12 * ['mean error']]
+
+    stacked, below, row = text_table(head, [['r1', *12 * ['0.1']]]).splitlines()
+
+    assert stacked.split() == 12 * ['mean']
+    assert below.split() == ['robot', *12 * ['error']]
+    assert len({len(stacked), len(below), len(row)}) == 1
+    assert len(row) <= 100
+
+
 def test_columns_of_a_markdown_table_are_right_aligned_except_text_columns():
     assert markdown_table(['runs', 'filter', 'rmse'], [['8', 'FEJ', '0.1']], (1,)) == (
         '| runs | filter | rmse |\n'

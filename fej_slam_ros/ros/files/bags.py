@@ -17,7 +17,7 @@ from rosbags.interfaces import (
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from tqdm import tqdm
 
-from fej_slam_ros.atomic_files import CURES, refuse_existing, writing
+from fej_slam_ros.atomic_files import CURES, refuse_existing, short_path, writing
 from fej_slam_ros.detection.records import AnyRecord, measured_at
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
@@ -129,7 +129,7 @@ class BagWriter:
     """
 
     def __init__(self, path: Path, storage: str = 'mcap', force: bool = False) -> None:
-        self._path = path = path.resolve()
+        self._path = path = short_path(path)
         self._force = force
         self._refuse_existing()
         self._partial = path.with_name(f'.{path.name}.partial')

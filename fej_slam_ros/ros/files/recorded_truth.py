@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from fej_slam_ros.atomic_files import short_path
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, TrueLandmarks, TruePose
@@ -20,6 +21,10 @@ from fej_slam_ros.ros.messages.common import from_quaternion
 from fej_slam_ros.ros.topic_types import CLOUD, ODOMETRY, TRUE_LANDMARKS
 from fej_slam_ros.tables import Cells, finite_numbers
 
+#: How ground truth is given, and what judges a run without.
+TRUTH_OR_NIS = (
+    'with --truth; without any, NIS/dof judges the consistency: nis in summary.json of replay, and'
+    ' in /diagnostics')
 #: Columns of a TUM file after the time.
 TUM_COLUMNS = ('x', 'y', 'z', 'qx', 'qy', 'qz', 'qw')
 
@@ -45,8 +50,8 @@ def _true_bag(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
     robots = robots_with(bags.topics(path, names), 'ground_truth', ODOMETRY)
     if not robots:
         raise UserError(
-            f'{path} has no topic <robot>/ground_truth of type {ODOMETRY}: give another bag, or a'
-            ' folder of TUM files, with --truth')
+            f'{short_path(path)} has no topic <robot>/ground_truth of type {ODOMETRY}: give'
+            f' another bag, or a folder of TUM files, {TRUTH_OR_NIS}')
     truth = RecordedTruth()
 
     def read(topic: str, message: Message) -> None:

@@ -167,7 +167,7 @@ def test_systematic_errors_of_odometry_are_corrected(calibrate, places, options,
 
     settings = parameters.load(places[2]).estimation
     for robot in settings.robots:
-        assert row(printed[printed.index('odometry of'):], robot.name)[-1] == source
+        assert row(printed[printed.index('distance'):], robot.name)[-1] == source
         # Four standard errors of the turns.
         assert robot.odometry_scale == pytest.approx((0.94, 1.05), abs=0.02)
         assert robot.odometry_turn_bias == pytest.approx(0.0, abs=0.001)

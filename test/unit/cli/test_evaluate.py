@@ -61,6 +61,30 @@ def test_errors_and_consistency_are_those_in_the_summary_of_the_run(replayed, ev
     assert landmarks == pytest.approx(own['rmse'].get('landmarks'), abs=1e-12)
 
 
+def test_a_run_without_ground_truth_is_judged_by_nis(replayed, evaluate, tmp_path):
+    untrue = write_bag(tmp_path / 'bag', [
+        message for message in bags.read(BAGS / 'two_circles') if 'truth' not in message.topic])
+
+    status, _, printed = evaluate(replayed / 'two_circles', '--no-plots', '--truth', untrue)
+
+    assert status == 1
+    assert 'NIS/dof judges the consistency: nis in summary.json' in printed.err
+    assert printed.err.count('\n') == 1
+
+
+def test_the_folder_beside_a_bag_is_printed_relative_to_the_current_one(
+        replayed, tmp_path, monkeypatch, capsys):
+    shutil.copytree(replayed / 'two_circles' / 'bag', tmp_path / 'bag')
+    monkeypatch.chdir(tmp_path)
+
+    assert run_verb('evaluate', tmp_path / 'bag', '--truth', BAGS / 'two_circles',
+                    '--no-plots') == 0
+
+    *tables, last = capsys.readouterr().out.splitlines()
+    assert last == 'wrote bag_evaluation'
+    assert max(len(line) for line in tables if line.startswith(('robot', 'r1'))) <= 100
+
+
 def test_a_bag_gives_the_same_result_as_the_folder(replayed, evaluate):
     folder = replayed / 'two_circles'
     _, of_folder, _ = evaluate(folder, '--no-plots')
