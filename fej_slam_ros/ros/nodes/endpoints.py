@@ -51,7 +51,9 @@ def check_installed(type_names: Iterable[str]) -> None:
         if not is_installed(type_name):
             raise UserError(
                 f'messages of {type_name} need the package {type_name.partition("/")[0]}: apt'
-                f' install {debian_package(type_name)}, or source the workspace that has it')
+                f' install {debian_package(type_name)}, or source the workspace that has it;'
+                ' without it, fej_slam adapt reads recorded bags, and formats: [marker_array]'
+                ' another message')
 
 
 def debian_package(type_name: str) -> str:

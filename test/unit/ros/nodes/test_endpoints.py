@@ -6,11 +6,19 @@ from time import monotonic, sleep
 
 import pytest
 
+from fej_slam_ros.errors import UserError
 from helpers.optional import optional
 
 endpoints = optional('fej_slam_ros.ros.nodes.endpoints')
 
 pytestmark = pytest.mark.ros
+
+
+def test_a_missing_package_is_named_with_its_cure_and_ways_without_it():
+    with pytest.raises(UserError, match=(
+            'need the package nix_msgs: apt install ros-jazzy-nix-msgs, .*fej_slam adapt.*'
+            r'formats: \[marker_array\]')):
+        endpoints.check_installed(['nav_msgs/msg/Odometry', 'nix_msgs/msg/Nothing'])
 
 
 class Silent:
