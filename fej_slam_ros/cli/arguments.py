@@ -37,7 +37,8 @@ def add_bag_and_parameters(parser: ArgumentParser) -> None:
     """Add the input bag and the parameter file."""
     parser.add_argument('bag', type=Path, metavar='BAG', help='folder of a rosbag2')
     parser.add_argument(
-        '--params', type=Path, required=True, metavar='FILE', help='ROS parameters (YAML)')
+        '--params', type=Path, required=True, metavar='FILE',
+        help='ROS parameters (YAML), at least the list robots')
 
 
 def add_storage(parser: ArgumentParser) -> None:
@@ -63,8 +64,8 @@ def refuse_input_as_output(output: Path, bag: Path) -> None:
 def require_matplotlib(alternative: str = '') -> None:
     """Raise UserError if figures cannot be drawn, with the option by which none are."""
     if find_spec('matplotlib') is None:
-        cure = "pip install '.[plot]'" + (f', or {alternative}' if alternative else '')
-        raise UserError(f'matplotlib is missing: {cure}')
+        other = f', or {alternative}' if alternative else ''
+        raise UserError(f"matplotlib is missing: pip install '.[plot]' in the clone{other}")
 
 
 def parameter_help(parameters: Mapping[str, Parameter]) -> str:

@@ -215,7 +215,12 @@ def _checked_value(name: str, kind: Kind, value: object) -> Any:
 
 
 def _refuse_names(parameter: str, value: object) -> None:
-    """Raise UsageError if one of the names of robots cannot be the namespace of topics."""
+    """Raise UsageError if the names of robots are no list, or one cannot be a namespace."""
+    if isinstance(value, str) and value.strip():
+        names = ', '.join(value.replace(',', ' ').split())
+        raise UsageError(
+            f'parameter {parameter!r} must be a list, not {_shown(value)}: write'
+            f' {shortened(f"[{names}]")}')
     for name in value if isinstance(value, (list, tuple)) else []:
         if isinstance(name, str) and not ROBOT_NAMES.allowed(name):
             if len(name) > MAX_NAME:

@@ -239,8 +239,9 @@ def test_an_unknown_argument_is_a_usage_error(run, words):
         run(words, lambda _arguments: 0)
 
 
-def test_help_lists_every_verb_with_its_summary(monkeypatch, capsys):
-    monkeypatch.setattr(sys, 'argv', ['fej_slam', '--help'])
+@pytest.mark.parametrize('words', [[], ['--help']])
+def test_help_lists_every_verb_with_its_summary(monkeypatch, capsys, words):
+    monkeypatch.setattr(sys, 'argv', ['fej_slam', *words])
 
     with pytest.raises(SystemExit, match='0'):
         main()

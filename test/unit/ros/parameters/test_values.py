@@ -128,6 +128,13 @@ def test_numbers_of_tags_are_rejected_with_the_way_to_write_them():
     assert parse_adapter({'robots': ['r1'], 'r1.tags': ['7', '8']})
 
 
+@pytest.mark.parametrize('words', ['r1,r2', 'r1, r2', 'r1 r2'])
+def test_robots_that_are_no_list_are_rejected_with_the_list_to_write(words):
+    """Those of launch files are separated by commas."""
+    with pytest.raises(UsageError, match=r"'robots' must be a list, .* write \[r1, r2\]$"):
+        parse({'robots': words})
+
+
 def test_a_team_must_be_given():
     with pytest.raises(UsageError, match="'robots' is missing"):
         parse({'anchor': 'r1'})
@@ -214,7 +221,7 @@ def test_thousands_of_unknown_parameters_are_a_few_warnings():
         (
             'robots',
             'a list of names that begin with a letter and go on with letters, digits and _',
-            ['r1', [1], [True], [None]],
+            [1, [1], [True], [None]],
         ),
         ('anchor', "one of 'r1', 'r2', ''", [1, None, ['r1']]),
         *(
