@@ -10,6 +10,7 @@ so ``replay`` works without rclpy and the help is fast.
 """
 
 import ast
+from collections.abc import Sequence
 import errno
 from importlib import import_module
 from importlib.resources import files
@@ -152,13 +153,18 @@ def _call(command: str, verb: str, words: list[str]) -> int:
     ros = words.index('--ros-args') if verb in NODES and '--ros-args' in words else len(words)
     arguments, unknown = parser.parse_known_args(words[:ros])
     if unknown:
-        may_be_parameters = any(word.startswith('-') or ':=' in word for word in unknown)
-        cure = (
-            f': {NODE_ARGUMENTS}' if verb in NODES else
-            f': {FILE_PARAMETERS}'
-            if may_be_parameters and '--params' in parser.format_usage() else '')
-        parser.error(f'unrecognized arguments: {" ".join(unknown)}{cure}')
+        parser.error(
+            f'unrecognized arguments: {" ".join(unknown)}{_cure(verb, parser, unknown)}')
     status: int = (
         import_module(f'fej_slam_ros.ros.nodes.{verb}').main(words[ros:]) if verb in NODES
         else module.run(arguments))
     return status
+
+
+def _cure(verb: str, parser: Parser, unknown: Sequence[str]) -> str:
+    """Return how parameters are given, if unknown arguments may be some."""
+    if verb in NODES:
+        return f': {NODE_ARGUMENTS}'
+    may_be_parameters = any(word.startswith('-') or ':=' in word for word in unknown)
+    has_file = '--params' in parser.format_usage()
+    return f': {FILE_PARAMETERS}' if may_be_parameters and has_file else ''

@@ -57,11 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    settings = parameters.load(
-        arguments.params, node_names(arguments, 'estimator', 'smoother'))
-    # Those of the parameters are of live runs, perhaps of the estimator.
-    settings = replace(settings, node=replace(
-        settings.node, checkpoint='', restore=arguments.restore))
+    settings = _settings(arguments)
     matches = None if arguments.restore else matches_in(
         arguments.bag, settings, names_in(arguments, arguments.bag))
     runs = [*offline_run.process(
@@ -75,6 +71,14 @@ def run(arguments: argparse.Namespace) -> int:
         print(matched_in_words(matches.counts))
     offline_run.require_use(arguments, sessions)
     return 0
+
+
+def _settings(arguments: argparse.Namespace) -> parameters.RunSettings:
+    settings = parameters.load(
+        arguments.params, node_names(arguments, 'estimator', 'smoother'))
+    # Those of the parameters are of live runs, perhaps of the estimator.
+    return replace(settings, node=replace(
+        settings.node, checkpoint='', restore=arguments.restore))
 
 
 class SmoothedSink(offline_run.BagSink[BagSmootherSession]):

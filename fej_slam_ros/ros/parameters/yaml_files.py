@@ -61,10 +61,9 @@ def load_values(
         name: value for section, name, value in parameters
         if any(_applies(section, node) for node in names)}
     if not values:
-        sections = ', '.join(dict.fromkeys(section for section, _, _ in parameters))
-        raise UsageError(
-            f'no parameters for the node {nodes[-1]!r}'
-            + (f', only for {sections}: ' if sections else ': ') + PLACE)
+        others = ', '.join(dict.fromkeys(section for section, _, _ in parameters))
+        only = f', only for {others}' if others else ''
+        raise UsageError(f'no parameters for the node {nodes[-1]!r}{only}: {PLACE}')
     # Offline they have a meaning all the same, but a node would not start with this file.
     for name, value in values.items():
         if _is_mixed(value):
