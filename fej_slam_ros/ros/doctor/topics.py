@@ -86,9 +86,9 @@ def _no_landmarks(
 def _tags_cure(topics: Mapping[str, BagTopic], robot: str) -> str:
     """Return how landmarks are computed of AprilTags, '' if the bag can have none."""
     if any(topic in topics for topic in (TF, f'{robot}/{TF}')):
-        return '; if a camera saw AprilTags, adapt computes it from the transforms on /tf'
+        return '; if a camera saw AprilTags, fej_slam adapt computes it from the transforms on /tf'
     if any('apriltag' in topic.type_name.lower() for topic in topics.values()):
-        return '; for the AprilTags record /tf, too, from which adapt computes it'
+        return '; for the AprilTags record /tf, too, from which fej_slam adapt computes it'
     return ''
 
 

@@ -32,13 +32,13 @@ def cure(topics: Mapping[str, BagTopic], robot: str) -> str:
         name for name, topic in topics.items() if topic.messages and topic.type_name == LASER_SCAN]
     of_no_robot = [name for name in scans if f'{name.rpartition("/")[0]}/odom' not in topics]
     formats = formats_in(topics, robot)
-    detect = 'detect BAG --params FILE --output LANDMARKS'
+    detect = 'fej_slam detect BAG --params FILE --output LANDMARKS'
     if f'{robot}/scan' in scans:
         return f'find posts or reflectors in {robot}/scan: {detect}'
     if formats:
         return (
-            f'use {robot}/{FORMATS[formats[0]].topic} (formats: [{formats[0]}]): adapt BAG'
-            ' --params FILE --output LANDMARKS')
+            f'use {robot}/{FORMATS[formats[0]].topic} (formats: [{formats[0]}]): fej_slam adapt'
+            ' BAG --params FILE --output LANDMARKS')
     if len(of_no_robot) == 1:
         return (
             f'find posts or reflectors in {of_no_robot[0]}: {detect} --remap'

@@ -183,7 +183,7 @@ def test_doctor_and_replay_name_adapt_for_a_bag_with_objects_only(tmp_path, caps
 
     assert run_verb('doctor', bag, '--params', settings) == 1
     printed = capsys.readouterr().out
-    assert 'use r1/aruco_detections (formats: [aruco]): adapt BAG' in printed
+    assert 'use r1/aruco_detections (formats: [aruco]): fej_slam adapt BAG' in printed
     assert 'never_joins' not in printed
     assert run_verb('replay', bag, '--params', settings, '--output', tmp_path / 'out') == 0
-    assert 'formats: [aruco]): adapt BAG' in caplog.text
+    assert 'formats: [aruco]): fej_slam adapt BAG' in caplog.text

@@ -87,13 +87,14 @@ def test_scans_under_a_new_name_where_landmarks_are_needed_are_reported_with_det
     run_verb(verb, bag, '--params', recorded[1], *output, '--remap', '/scan:=/r1/scan')
 
     printed, _ = capsys.readouterr()
-    assert 'find posts or reflectors in r1/scan: detect BAG' in printed + caplog.text
+    assert 'find posts or reflectors in r1/scan: fej_slam detect BAG' in printed + caplog.text
 
 
 def test_the_doctor_of_a_bag_with_scans_but_no_landmarks_names_detect(recorded, capsys):
     run_verb('doctor', recorded[0])
 
-    assert 'cure: find posts or reflectors in r1/scan: detect BAG' in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert 'cure: find posts or reflectors in r1/scan: fej_slam detect BAG' in said
 
 
 def test_the_doctor_does_not_advise_to_detect_in_scans_that_are_all_rejected(

@@ -36,7 +36,7 @@ def test_landmarks_on_a_topic_of_another_name_are_remapped(cures, messages):
 
 @pytest.mark.parametrize(('topic', 'type_name', 'cure'), [
     ('imu', 'sensor_msgs/msg/Imu', ''),
-    ('tf', 'tf2_msgs/msg/TFMessage', 'adapt computes it from the transforms on /tf'),
+    ('tf', 'tf2_msgs/msg/TFMessage', 'fej_slam adapt computes it from the transforms on /tf'),
     ('detections', 'apriltag_msgs/msg/AprilTagDetectionArray', 'for the AprilTags record /tf')])
 def test_tags_are_a_cure_only_where_a_bag_may_have_some(cures, topic, type_name, cure):
     other = {topic: bags.BagTopic(type_name, 5, latched=False)}

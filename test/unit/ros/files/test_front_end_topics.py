@@ -12,7 +12,7 @@ ODOMETRY = BagTopic('nav_msgs/msg/Odometry', 100, latched=False)
 
 
 @pytest.mark.parametrize(('topics', 'named'), [
-    ({'r1/odom': ODOMETRY, 'r1/scan': SCAN}, 'in r1/scan: detect BAG'),
+    ({'r1/odom': ODOMETRY, 'r1/scan': SCAN}, 'in r1/scan: fej_slam detect BAG'),
     # A single robot often has no namespace.
     ({'odom': ODOMETRY, 'scan': SCAN}, '--remap /scan:=/r1/scan'),
     ({'r1/odom': ODOMETRY, 'base/front': SCAN}, '--remap /base/front:=/r1/scan'),
