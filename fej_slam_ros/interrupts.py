@@ -5,7 +5,6 @@
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 import signal
-from typing import NoReturn
 
 #: Signals that ask a process to end.
 INTERRUPTS = (signal.SIGINT, signal.SIGTERM)
@@ -15,21 +14,6 @@ KILLING_SIGINT = 3
 
 #: Calls that wait for the end of each `postponed` context that has begun.
 _waiting: list[list[Callable[[], object]]] = []
-
-
-class SignalInterrupt(KeyboardInterrupt):
-    """
-    SIGINT or SIGTERM has arrived.
-
-    After a plain KeyboardInterrupt that has passed through exec(), as in the modules of rosbags,
-    Python kills itself by SIGINT at its end, although it was handled.
-
-    """
-
-
-def interrupt() -> NoReturn:
-    """End the work by an exception: files that are not complete are deleted on the way out."""
-    raise SignalInterrupt
 
 
 @contextmanager

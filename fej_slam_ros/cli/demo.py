@@ -86,11 +86,7 @@ def run(arguments: argparse.Namespace) -> int:
     require_matplotlib()
     with OutputLock.of_folder(output):
         refuse_existing([output / PICTURE, *result_paths(output, ROBOTS)], arguments.force)
-        try:
-            _run(SENSORS[arguments.sensor], output)
-        except KeyboardInterrupt:
-            print('interrupted: the nodes have ended, there are no results', file=sys.stderr)
-            raise
+        _run(SENSORS[arguments.sensor], output)
     return 0
 
 
@@ -106,7 +102,9 @@ def _run(sensor: Sensor, output: Path) -> None:
         print(
             f'simulating {len(world.robots)} robots among {len(world.landmarks)} landmarks for'
             f' {seconds:.0f} s at {simulated.speed:g} times real time')
-        run_processes(parameters, world.robots, seconds)
+        if not run_processes(parameters, world.robots, seconds):
+            print('interrupted: the nodes have ended, there are no results', file=sys.stderr)
+            return
         _draw(files / PICTURE, sensor.title, files / 'results', world, simulated)
         summary = json.loads((files / 'results' / 'summary.json').read_text(encoding='utf-8'))
         for path in [*(files / 'results').iterdir(), files / PICTURE]:

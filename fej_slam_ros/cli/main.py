@@ -24,7 +24,7 @@ from fej_slam_ros import __version__
 from fej_slam_ros.atomic_files import disk_error
 from fej_slam_ros.cli.parser import Formatter, Parser
 from fej_slam_ros.errors import UsageError, UserError
-from fej_slam_ros.interrupts import handled, interrupt, INTERRUPTS, postponed
+from fej_slam_ros.interrupts import handled, INTERRUPTS, postponed
 
 #: Verbs that are ROS nodes: their arguments are ``--ros-args`` and all that follows.
 NODES = ('estimator', 'simulator', 'smoother', 'detector', 'adapter')
@@ -35,8 +35,9 @@ FILE_PARAMETERS = 'parameters are no options: write them into the file of --para
 VERBS = (
     *NODES, 'simulate', 'detect', 'adapt', 'replay', 'smooth', 'evaluate', 'doctor', 'calibrate',
     'play', 'view', 'convert', 'export', 'reproduce', 'benchmark', 'demo')
-#: Verbs whose work is that of a node, which a signal ends in the regular way.
-UNTIL_INTERRUPTED = (*NODES, 'play', 'view')
+#: Verbs whose work is that of a node, and those that a signal ends in the regular way.
+ENDED_BY_NODE = (*NODES, 'play', 'view')
+UNTIL_INTERRUPTED = (*ENDED_BY_NODE, 'demo')
 #: Errors of a disk, whatever is written to it.
 DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 #: What to do without modules that are not from ROS; ROS 2 has no Debian package of rosbags.
@@ -54,6 +55,16 @@ MISSING_MODULES = {
 NO_ROS = "source ROS 2 Jazzy, or install it from PyPI: pip install '.[jazzy]' in the clone"
 #: Exit status of the others after a signal, that of a shell for SIGINT.
 INTERRUPTED = 130
+
+
+class SignalInterrupt(KeyboardInterrupt):
+    """
+    SIGINT or SIGTERM has arrived.
+
+    After a plain KeyboardInterrupt that has passed through exec(), as in the modules of rosbags,
+    Python kills itself by SIGINT at its end, although it was handled.
+
+    """
 
 
 def main() -> int:
@@ -88,7 +99,7 @@ def _run(command: str, verb: str, words: list[str]) -> int:
     # A shell ignores SIGINT in the commands that it runs in the background.
     heeded = [n for n in INTERRUPTS if signal.getsignal(n) is not signal.SIG_IGN]
     try:
-        with handled(_end if verb in UNTIL_INTERRUPTED else interrupt, numbers=heeded):
+        with handled(_end if verb in ENDED_BY_NODE else _interrupt, numbers=heeded):
             # The entry point has blocked them.
             signal.pthread_sigmask(signal.SIG_UNBLOCK, INTERRUPTS)
             status = _call(command, verb, words)
@@ -141,6 +152,11 @@ def _end() -> None:
     # The node, which handles signals itself, does not exist yet. An exception could get lost among
     # the modules of compiled code that are being imported.
     os._exit(0)
+
+
+def _interrupt() -> None:
+    # Files that are not complete are deleted on the way out.
+    raise SignalInterrupt
 
 
 def _call(command: str, verb: str, words: list[str]) -> int:

@@ -12,7 +12,6 @@ from rclpy.node import Node
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UserError
-from fej_slam_ros.interrupts import interrupt
 from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.messages.common import from_covariance, from_time
 from fej_slam_ros.ros.nodes.child_processes import (
@@ -28,9 +27,9 @@ IDLE_TIME = 1.0
 REFRESH_PERIOD = 0.25
 
 
-def run_processes(parameters: Mapping[str, Path], robots: Sequence[str], duration: float) -> None:
+def run_processes(parameters: Mapping[str, Path], robots: Sequence[str], duration: float) -> bool:
     """
-    Run the nodes until the simulated world has ended; raise SignalInterrupt after a signal.
+    Run the nodes until the simulated world has ended; return False after an interrupt.
 
     Parameters
     ----------
@@ -51,8 +50,7 @@ def run_processes(parameters: Mapping[str, Path], robots: Sequence[str], duratio
             for node, process in running.items():
                 check_alive(process, node)
         if stopped.is_set():
-            view.close()
-            interrupt()
+            return False
         simulator = processes.start('simulator', parameters['simulator'])
         while not stopped.is_set() and (simulator.poll() is None or view.is_moving()):
             view.refresh()
@@ -65,8 +63,7 @@ def run_processes(parameters: Mapping[str, Path], robots: Sequence[str], duratio
         # The estimator last, which gets what others still send.
         for process in sorted(running.values(), key=lambda p: p is running['estimator']):
             processes.end(process)
-        if stopped.is_set():
-            interrupt()
+        return not stopped.is_set()
 
 
 class _LiveView:

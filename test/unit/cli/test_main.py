@@ -56,7 +56,7 @@ def test_a_user_error_is_one_sentence_and_a_status(run, capsys, error, status, s
 
 
 @pytest.mark.parametrize(('verb', 'status'), [
-    ('demo', 130), ('replay', 130), ('smooth', 130), ('simulate', 130), ('convert', 130),
+    ('demo', 0), ('replay', 130), ('smooth', 130), ('simulate', 130), ('convert', 130),
     ('reproduce', 130)])
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.usefixtures('same_signals')
