@@ -17,7 +17,6 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.calibration import observation_errors, odometry_errors
-from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajectory
 from fej_slam_ros.core.calibration.instruments import (
     measured_motion, PairMotion, predicted_motion)
 from fej_slam_ros.core.calibration.observation_errors import given_observations
@@ -130,8 +129,7 @@ def _by_instruments(
 def _differences(pairs: ObservationPairs, values: Array) -> Array:
     """Return the normalised differences (n, 2) of pairs without errors, `values` (6,)."""
     *of_odometry, bearing_bias, x, y = values
-    moved = replace(
-        pairs, poses=corrected_trajectory(pairs.known, pairs.poses, np.array(of_odometry)))
+    moved = replace(pairs, odometry=pairs.odometry.without_errors(np.array(of_odometry)))
     placed = moved.at_odometry(0.0)
     # In the base frame, which headings summed up over the whole run do not turn.
     r: Array = np.einsum(

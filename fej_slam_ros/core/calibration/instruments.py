@@ -12,10 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.observation_pairs import ObservationPairs
 from fej_slam_ros.core.geometry import (
-    Array, perpendicular, poses_at, products, rotation, rotations, Stamps)
+    Array, perpendicular, products, rotation, rotations, Stamps)
 from fej_slam_ros.core.records import NS
 
 #: Time before, and after, two observations in which velocities predict the motion between them.
@@ -54,28 +53,22 @@ class PairMotion:
 
 def measured_motion(pairs: ObservationPairs) -> PairMotion:
     """Return the motion between the observations of pairs by odometry."""
-    return PairMotion(pairs, _moved(pairs, *pairs.stamps))
+    return PairMotion(pairs, pairs.odometry.motions(*pairs.stamps))
 
 
 def predicted_motion(pairs: ObservationPairs) -> PairMotion:
     """Return the same motion by the odometry before the first and after the second observation."""
     first, second = pairs.stamps
     start, end = (
-        np.clip(stamps, pairs.known[0], pairs.known[-1])
+        np.clip(stamps, *pairs.odometry.stamps[[0, -1]])
         for stamps in (first - PREDICTION_TIME, second + PREDICTION_TIME))
     # In the frame halfway through each turn, motions at equal velocities are proportional.
     moved = sum(
-        _with_rotated_start(_moved(pairs, *interval), -0.5)
+        _with_rotated_start(pairs.odometry.motions(*interval), -0.5)
         for interval in ((start, first), (second, end)))
     times = _seconds(start, first) + _seconds(second, end)
     predicted = moved * (_seconds(first, second) / times)[:, None]
     return PairMotion(pairs, _with_rotated_start(predicted, 0.5))
-
-
-def _moved(pairs: ObservationPairs, begin: Stamps, end: Stamps) -> Array:
-    """Return the motions (n, 3) by odometry between two stamps of each pair."""
-    return models.h_pose(*(
-        poses_at(stamps, pairs.known, pairs.poses) for stamps in (begin, end)))
 
 
 def _with_rotated_start(motions: Array, part: float) -> Array:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.calibration.corrected_odometry import trajectory
-from fej_slam_ros.core.geometry import Array, poses_at, products, rotation, rotations, Stamps
+from fej_slam_ros.core.calibration.odometry_trajectory import OdometryTrajectory
+from fej_slam_ros.core.geometry import Array, products, rotation, rotations, Stamps
 from fej_slam_ros.core.records import NO_ID, NS, Odometry, Scan
 
 #: Longest time [ns] and distance [m] in which a landmark without ID is followed.
@@ -34,14 +34,13 @@ class ObservationPairs:
     stamps: Stamps  #: (2, n) array [ns]
     z: Array  #: (2, n, 2) array [m]
     sigma: Array  #: (n,) array, standard deviation of a difference of both [m]
-    known: Stamps  #: (k,) array, stamps of odometry [ns]
-    poses: Array  #: (k, 3) array, odometry
+    odometry: OdometryTrajectory
 
     def at_odometry(self, delay: float) -> 'PlacedPairs':
         """Return the pairs with the poses of the robot, for stamps late by a delay [s]."""
         p, q = self.z
         first, second = (
-            poses_at(stamps - round(delay * NS), self.known, self.poses) for stamps in self.stamps)
+            self.odometry.at(stamps - round(delay * NS)) for stamps in self.stamps)
         return PlacedPairs(
             p, q, rotations(first[:, 2]), rotations(second[:, 2]),
             first[:, :2] - second[:, :2], self.sigma)
@@ -89,7 +88,8 @@ def observation_pairs(
     That time is `apart` [ns]. There are about `MAX_OBSERVATION_PAIRS` pairs at most.
 
     """
-    known, poses = trajectory(odometry)
+    trajectory = OdometryTrajectory.of(odometry)
+    known = trajectory.stamps
     margin = round(MAX_STAMP_ERROR * NS)
     inside = [*_identified([
         scan for scan in scans if len(known)
@@ -106,7 +106,7 @@ def observation_pairs(
     return ObservationPairs(
         np.array([row[:2] for row in rows], np.int64).reshape(-1, 2).T,
         np.array([row[2:4] for row in rows]).reshape(-1, 2, 2).transpose(1, 0, 2),
-        np.sqrt(variances + PAIR_ODOMETRY_SIGMA**2), known, poses)
+        np.sqrt(variances + PAIR_ODOMETRY_SIGMA**2), trajectory)
 
 
 class _Identified(NamedTuple):

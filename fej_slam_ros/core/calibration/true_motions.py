@@ -9,9 +9,9 @@ import math
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.calibration.corrected_odometry import corrected_trajectory, trajectory
+from fej_slam_ros.core.calibration.odometry_trajectory import OdometryTrajectory
 from fej_slam_ros.core.calibration.offset_regression import regression
-from fej_slam_ros.core.geometry import Array, poses_at, rotation, Stamps
+from fej_slam_ros.core.geometry import Array, rotation, Stamps
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, Odometry
 
@@ -30,14 +30,11 @@ class TrueMotions:
     firsts: Stamps  #: (n,) array, begins of the motions [ns]
     lasts: Stamps  #: (n,) array, ends [ns]
     true: Array  #: (n, 3) array, by true poses, in the first one
-    known: Stamps  #: (k,) array, stamps of odometry [ns]
-    poses: Array  #: (k, 3) array, poses of odometry
+    odometry: OdometryTrajectory
 
     def by_odometry(self, values: Array) -> Array:
         """Return the motions (n, 3) by odometry without errors (3,)."""
-        moved = corrected_trajectory(self.known, self.poses, values)
-        return models.h_pose(*(
-            poses_at(times, self.known, moved) for times in (self.firsts, self.lasts)))
+        return self.odometry.without_errors(values).motions(self.firsts, self.lasts)
 
     def with_headings(self, error: float) -> 'TrueMotions':
         """Return the motions by true headings without an error [rad]."""
@@ -71,7 +68,8 @@ def true_motions(odometry: Sequence[Odometry], truth: RecordedTruth) -> TrueMoti
     firsts, lasts = np.array(intervals, np.int64).T
     (_, before), (_, after) = (
         truth.find_all(odometry[0].robot, times.tolist()) for times in (firsts, lasts))
-    return TrueMotions(firsts, lasts, models.h_pose(before, after), *trajectory(odometry))
+    return TrueMotions(
+        firsts, lasts, models.h_pose(before, after), OdometryTrajectory.of(odometry))
 
 
 def _intervals(
