@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, poses_at, wrap_all
+from fej_slam_ros.core.geometry import Array, wrap_all
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, odometry, positions
+from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, poses_by_odometry, positions
 from fej_slam_ros.datasets.series import Series
 
 #: True poses are compared over windows from 1 s to `MAX_WINDOW`, in errors up to 1 rad.
@@ -56,7 +56,7 @@ class ClockEvidence:
         used = np.diff(within.stamps) <= MAX_WINDOW
         if used.sum() < MIN_TURNS:
             return np.inf
-        headings = poses_at(within.stamps, commands.stamps, odometry(commands))[:, 2]
+        headings = poses_by_odometry(commands, within.stamps)[:, 2]
         errors = np.abs(wrap_all(np.diff(within.rows[:, 2]) - np.diff(headings)))
         return float(np.minimum(errors[used], 1.0).mean())
 
@@ -84,7 +84,7 @@ class ClockEvidence:
         seen = seen.between(observed.commands.stamps[0], observed.commands.stamps[-1])
         seen = seen[::max(len(seen) // MAX_OBSERVATIONS, 1)]
         points = positions(observer.commands, seen)
-        poses = poses_at(seen.stamps, observed.commands.stamps, odometry(observed.commands))
+        poses = poses_by_odometry(observed.commands, seen.stamps)
         maps = [self._positions(part) for part in (observer, observed)]
         differences: defaultdict[int, list[float]] = defaultdict(list)
         for stamp, point, pose in zip(seen.stamps.tolist(), points, poses):

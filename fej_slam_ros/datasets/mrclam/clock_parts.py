@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, poses_at
+from fej_slam_ros.core.geometry import Array, poses_at, Stamps
 from fej_slam_ros.core.motion_models import arc_poses
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.series import joined, Series
@@ -58,16 +58,16 @@ class ClockPart:
             (*(stamp for part in parts for stamp in part.clock_changes), *begins))
 
 
-def odometry(commands: Series) -> Array:
-    """Return the poses (n, 3) at all commands, in the frame of the first."""
+def poses_by_odometry(commands: Series, stamps: Stamps) -> Array:
+    """Return the poses (n, 3) at stamps (n,) [ns], in the frame of the first command."""
     dt = np.diff(commands.stamps) / NS
     v, w = commands.rows[:-1].T
-    return arc_poses(v * dt, w * dt)
+    return poses_at(stamps, commands.stamps, arc_poses(v * dt, w * dt))
 
 
 def positions(commands: Series, observations: Series) -> Array:
     """Return where the n observed subjects are in the frame of odometry, (n, 2)."""
-    poses = poses_at(observations.stamps, commands.stamps, odometry(commands))
+    poses = poses_by_odometry(commands, observations.stamps)
     r, bearing = observations.rows[:, 1], poses[:, 2] + observations.rows[:, 2]
     points: Array = poses[:, :2] + r[:, None] * np.column_stack([np.cos(bearing), np.sin(bearing)])
     return points
