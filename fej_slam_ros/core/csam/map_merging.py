@@ -119,10 +119,11 @@ class _MapMerger:
         loops: list[Rendezvous] = []
         for rendezvous in attempted:
             p, *others = self._groups_of(rendezvous)
-            if not others:
+            closes_loop = not others or self._join(p, others[0], rendezvous, attempted)
+            if isinstance(closes_loop, JoinFailure):
+                failed.append((rendezvous, closes_loop))
+            elif closes_loop:
                 loops.append(rendezvous)
-            elif failure := self._join(p, others[0], rendezvous, attempted, loops):
-                failed.append((rendezvous, failure))
         failed += self._close_loops(loops)
         # A rendezvous that fails may succeed after others have joined its robots.
         if len(failed) in {0, len(attempted)}:
@@ -171,8 +172,8 @@ class _MapMerger:
             for half in (measurements[:middle], measurements[middle:])]
         for half, other in (halves, halves[::-1]):
             self.result = before.copy()
-            if self._join(p, others[0], half, (), []) is None and not self._with_slips(
-                    [(other, failure)]):
+            joined = self._join(p, others[0], half, ())
+            if not isinstance(joined, JoinFailure) and not self._with_slips([(other, failure)]):
                 return True
         self.result = before
         return False
@@ -193,13 +194,14 @@ class _MapMerger:
         return [g for g in self.result.maps if not set(rendezvous.robots).isdisjoint(g.robots)]
 
     def _join(
-        self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous],
-        loops: list[Rendezvous],
-    ) -> JoinFailure | None:
+        self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous]
+    ) -> JoinFailure | bool:
         """
-        Join maps by shared landmarks, so that the rendezvous closes a loop, or else by it.
+        Join maps by shared landmarks, or else by the rendezvous.
 
-        One that most of those attempted between the maps contradict does not join them.
+        Returns whether the rendezvous is to close a loop, as after a join by landmarks, or why the
+        maps are not joined. A rendezvous that most of those attempted between the maps contradict
+        does not join them.
 
         """
         shared = SharedLandmarks(p, q, self._rules.min_shared)
@@ -216,9 +218,7 @@ class _MapMerger:
         for part in (p, q):
             part.problem.forget_systems()
             self._aligner.forget(part)
-        if not isinstance(aligned, JoinFailure):
-            loops.append(rendezvous)
-        return None
+        return not isinstance(aligned, JoinFailure)
 
     def _joined_by_landmarks(
         self, shared: SharedLandmarks, aligned: LandmarkAlignment
