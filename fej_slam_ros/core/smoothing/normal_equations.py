@@ -57,6 +57,7 @@ class NormalEquations:
         self._pattern = _BlockPattern(sizes[order], *_linked(links, rank))
         starts = starts_of(sizes)
         self.coordinates = runs(starts[order], sizes[order])
+        # Sums of fixed coordinates have the index u, those of fixed blocks e: they are left out.
         unknown = np.full(sizes.sum(), len(self.coordinates))
         unknown[self.coordinates] = np.arange(len(self.coordinates))
         self._unknowns = [
@@ -108,11 +109,11 @@ class _BlockPattern:
         self._keys = distinct(np.concatenate([np.arange(m) * (m + 1), a * m + b, b * m + a]))
         column, row = np.divmod(self._keys, m)
         block_heights = sizes[row]
-        #: by node: number of elements in each of its columns, and position of the first
+        # By node: number of elements in each of its columns, and position of the first.
         self._heights = np.bincount(column, block_heights, minlength=m).astype(np.intp)
         self._firsts = starts_of(self._heights * sizes)
         first_rows = starts_of(self._heights)
-        #: by block: number of elements above it in each of its columns
+        # By block: number of elements above it in each of its columns.
         self._above = starts_of(block_heights) - first_rows[column]
         heights = np.repeat(self._heights, sizes)
         self.columns = np.concatenate([[0], np.cumsum(heights)])
