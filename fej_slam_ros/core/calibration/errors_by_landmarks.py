@@ -63,7 +63,7 @@ def fit_to_landmarks(
     None if too few landmarks are observed again.
 
     """
-    given = given_observations(robot)
+    range_scale, bearing_bias = given_observations(robot)
     ranges_only = replace(robot, observation_bearing_bias=0.0)
     pairs = observation_pairs(
         odometry, [without_systematic_errors(scan, ranges_only) for scan in scans],
@@ -73,9 +73,9 @@ def fit_to_landmarks(
         return None
     fitted = partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs))
     found, of_all = shown_errors(
-        fitted, LIMITS, stamps, np.append(given_odometry(robot), given[1]))
+        fitted, LIMITS, stamps, np.append(given_odometry(robot), bearing_bias))
     return ErrorsByLandmarks(
-        found.part(slice(3)), _with_range_scale(given[0], found.part(slice(3, 4))),
+        found.part(slice(3)), _with_range_scale(range_scale, found.part(slice(3, 4))),
         _shown_position(of_all, stamps))
 
 
