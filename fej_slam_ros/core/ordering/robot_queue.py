@@ -137,8 +137,8 @@ class RobotQueue:
         if is_small or self._rate_of_scans() < rate:
             return []
         scans = [scan for scan in self._scans if len(scan.observations) >= size]
-        surplus, rest = scans[:max(len(scans) - most, 0)], self._observations
-        rest -= _size(surplus)
+        surplus = scans[:max(len(scans) - most, 0)]
+        rest = self._observations - _size(surplus)
         for scan in scans[len(surplus):-1]:
             if rest <= MAX_QUEUED_OBSERVATIONS:
                 break

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fej_slam_ros.core.geometry import (
-    compose, inverse, poses_at, rigid_fit, symmetric, transform, transform_poses,
-    upper_triangular)
+    compose, inverse, poses_at, products, rigid_fit, rotations, runs, starts_of, symmetric,
+    transform, transform_poses, upper_triangular)
 from helpers.core import turn
 
 
@@ -65,3 +65,20 @@ def test_a_rigid_fit_brings_the_most_certain_points_nearest():
     found = rigid_fit(of_q, of_p, np.array([1.0, 1.0, 1e-9]))
 
     assert_allclose(found, b, atol=1e-8)
+
+
+def test_many_rotations_turn_each_vector_by_its_angle():
+    rng = np.random.default_rng(2)
+    angles, vectors = rng.uniform(-np.pi, np.pi, 5), rng.normal(size=(5, 2))
+
+    turned = products(rotations(angles), vectors)
+
+    assert_allclose(turned, [turn(angle) @ v for angle, v in zip(angles, vectors)], atol=1e-15)
+
+
+def test_runs_one_after_another_are_all_indices():
+    lengths = np.array([2, 0, 3, 1])
+
+    assert_array_equal(starts_of(lengths), [0, 2, 2, 5])
+    assert_array_equal(runs(starts_of(lengths), lengths), np.arange(6))
+    assert_array_equal(runs(np.array([7, 0, 3, 0]), lengths), [7, 8, 3, 4, 5, 0])
