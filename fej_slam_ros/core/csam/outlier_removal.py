@@ -67,15 +67,8 @@ def without_outliers(own: JointMap, probability: float) -> tuple[JointMap, list[
         replace(own, values=_by_odometry(own)), ROBUST_LOSS, ROBUST_TOLERANCE)
     kept, outliers = (complete or own, []) if robust is None else _without(
         robust, _beyond(robust, limit), limit)
-    for _ in range(MAX_ROUNDS):
-        kept = kept.solved()
-        worst = _worst(kept, limit)
-        if not worst:
-            break
-        kept, others = _without(kept, worst, limit)
-        outliers += others
-    else:
-        kept = kept.solved()
+    kept, others = _in_rounds(kept, limit)
+    outliers += others
     if len(outliers) > MAX_OUTLIER_FRACTION * count:
         return complete or own.solved(), []
     return kept, outliers
@@ -106,6 +99,19 @@ def without_landmarks(
         joint, problem=replace(joint.problem, landmarks=kept),
         values=Values(joint.values.poses, joint.values.points[is_kept]),
         landmarks=tuple(compress(joint.landmarks, is_kept))).solved(), outliers
+
+
+def _in_rounds(own: JointMap, limit: float) -> tuple[JointMap, list[Outlier]]:
+    """Return the minimum without outliers, of which each round removes the worst, and these."""
+    outliers: list[Outlier] = []
+    for _ in range(MAX_ROUNDS):
+        own = own.solved()
+        worst = _worst(own, limit)
+        if not worst:
+            return own, outliers
+        own, others = _without(own, worst, limit)
+        outliers += others
+    return own.solved(), outliers
 
 
 def _minimum(
