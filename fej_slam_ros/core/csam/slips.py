@@ -186,17 +186,10 @@ def _search(
     There is no factor if all links fit, or if more than `most` do not.
 
     """
-    slips: list[int] = []
-    solved = used.solved()
-    while True:
-        d2 = _distances(solved, links.factors, -1.0)
-        d2[slips] = 0.0
-        if d2.max(initial=0.0) <= rules.limit(3):
-            break
-        if len(slips) == most:
-            return used.values, {}
-        slips.append(int(np.argmax(d2)))
-        solved = _without(used, links, slips, solved.values)
+    found = _contradicting(used, links, most, rules)
+    if found is None:
+        return used.values, {}
+    slips, solved = found
     # Links that were released before the slip itself may fit without it.
     while slips:
         d2 = _distances(solved, rows_of(links.factors, np.array(slips)), 1.0)
@@ -207,6 +200,28 @@ def _search(
     _, r = links.factors.linearize(solved.values)
     return solved.values, {
         k: float(r[k] @ np.linalg.solve(links.factors.R[k], r[k])) for k in slips}
+
+
+def _contradicting(
+    used: JointMap, links: _Links, most: int, rules: JoinRules
+) -> tuple[list[int], JointMap] | None:
+    """
+    Return the links without which all others fit, the worst first, and the minimum.
+
+    None if these are more than `most`.
+
+    """
+    slips: list[int] = []
+    solved = used.solved()
+    while True:
+        d2 = _distances(solved, links.factors, -1.0)
+        d2[slips] = 0.0
+        if d2.max(initial=0.0) <= rules.limit(3):
+            return slips, solved
+        if len(slips) == most:
+            return None
+        slips.append(int(np.argmax(d2)))
+        solved = _without(used, links, slips, solved.values)
 
 
 def _without(used: JointMap, links: _Links, slips: Sequence[int], start: Values) -> JointMap:
