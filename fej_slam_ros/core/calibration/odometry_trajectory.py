@@ -32,7 +32,7 @@ class OdometryTrajectory:
         return poses_at(stamps, self.stamps, self.poses)
 
     def motions(self, begins: Stamps, ends: Stamps) -> Array:
-        """Return the motions (n, 3) between stamps (n,) [ns], in the frames of their begins."""
+        """Return poses (n, 3) at stamps `ends` in the frames of those at `begins` (n,) [ns]."""
         return models.h_pose(self.at(begins), self.at(ends))
 
     def without_errors(self, values: Array) -> 'OdometryTrajectory':
