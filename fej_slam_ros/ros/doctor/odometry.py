@@ -14,6 +14,7 @@ from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries
+from fej_slam_ros.ros.messages.incoming import checked_covariance, RejectedError
 from fej_slam_ros.ros.session.input_health import MAX_SPEED_SIGMA, MIN_SPEED_SIGMA
 
 #: Quantile of the speeds that is the usual maximum; the speeds above it may be jumps.
@@ -126,16 +127,27 @@ def _covariances(where: str, topic: OdometrySeries, robot: str) -> Iterator[Find
             ' messages, which smooth rejects',
             f'to smooth the bag, give vy a variance, or set {robot}.use_odometry_covariance to'
             ' false, to use odometry_sigma', int(exact.sum()))
-    singular = known & (variances > 0.0).all(axis=1) & ~are_definite(covariances)
-    if singular.any():
+    regular = covariances[
+        known & (variances > 0.0).all(axis=1) & np.isfinite(covariances).all(axis=(1, 2))]
+    singular = sum(_is_accepted(P) for P in regular[~are_definite(regular)])
+    if singular:
         yield error(
             'singular_covariance', where,
-            f'vx, vy and wz in twist.covariance are fully correlated in {singular.sum()} of'
+            f'vx, vy and wz in twist.covariance are fully correlated in {singular} of'
             f' {used.sum()} messages, which smooth rejects',
             'set the elements beside the diagonal to zero, or set'
             f' {robot}.use_odometry_covariance to false, to use odometry_sigma',
-            int(singular.sum()))
+            singular)
     yield from _absurd(where, variances[known], _is_moving(topic)[known], robot)
+
+
+def _is_accepted(covariance: Array) -> bool:
+    """Return whether odometry of a covariance (3, 3) is accepted; rejections are named else."""
+    try:
+        checked_covariance(covariance)
+    except RejectedError:
+        return False
+    return True
 
 
 def _is_moving(topic: OdometrySeries) -> Flags:

@@ -72,6 +72,19 @@ def test_a_robot_at_rest_may_be_almost_certain_of_its_speed(at_rest, driving, ex
         :len(found)]
 
 
+@pytest.mark.parametrize(('diagonal', 'beside', 'expected'), [
+    (1e-3, 1e-3, ['singular_covariance']), (1e-3, 5e-3, []), (1e-3, np.nan, []),
+    (np.inf, 0.0, [])])
+def test_covariances_that_are_rejected_are_not_called_singular(diagonal, beside, expected):
+    stamps = (np.arange(100) * NS // 10).tolist()
+    P = np.where(np.eye(3), diagonal, beside)
+
+    found = checked(OdometrySeries(
+        stamps, stamps, poses=[(0.1 * k, 0.0, 0.0) for k in range(100)], covariances=[P] * 100))
+
+    assert [finding.name for finding in found] == expected
+
+
 def findings_on_a_drive(of_yaw, direction=0.0, dt=0.1):
     """Return the findings of a drive at 0.5 m/s in winding curves, with a wrong yaw."""
     t = dt * np.arange(1000)
