@@ -107,7 +107,8 @@ def _agreement(pairs: PlacedPairs, pose: Array) -> float:
 def _costs(pairs: PlacedPairs, scale: float) -> Array:
     """Return the robust loss (n,) of the differences as given, for a scale of their noise."""
     squared = np.sum(pairs.residuals(np.zeros(3)) ** 2, axis=1)
-    costs: Array = np.sqrt(1.0 + squared / scale ** 2)
+    # No scale: observations are repeated, so that all differences are zero.
+    costs: Array = np.sqrt(1.0 + squared / (scale ** 2 or 1.0))
     return costs
 
 

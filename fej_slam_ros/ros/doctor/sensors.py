@@ -50,6 +50,8 @@ SUSPICIOUS, REVERSED = 1.5, 0.8
 #: Share up to which a delay is reported whose gain is of MIN_SIGMAS standard errors: with coarse
 #: odometry, 0.8 to 0.9 remained at 0.1 to 0.3 s. Without a delay, the gain was of up to 3.
 DELAYED = 0.95
+#: Smallest disagreement, divided by the noise that is claimed, that is one.
+MIN_DISAGREEMENT = 1e-3
 #: Smallest errors that are reported [m], [rad], [s].
 MIN_SHIFT, MIN_TURN, MIN_DELAY = 0.03, math.radians(1.0), 0.02
 #: Limits of radii [m] between which posts are looked for, whatever the parameters are, the
@@ -192,6 +194,9 @@ def _conditions(
 
 def findings(topic: str, fit: SensorFit) -> Iterator[Finding]:
     """Yield what explains why pairs of observations on a topic disagree, if anything does."""
+    # A robot at rest that repeats one observation agrees up to rounding.
+    if fit.as_given < MIN_DISAGREEMENT:
+        return
     still, mirrored, moved, delayed = CURES[topic.rpartition('/')[2]]
     best = min(fit.moved, fit.delayed, fit.mirrored)
     if fit.still < min(best, STILL * fit.as_given):

@@ -128,6 +128,16 @@ def test_a_robot_that_stands_still_shows_no_delay():
         assert fit_sensor(still, scans).delay_sigmas == 0.0
 
 
+def test_a_robot_that_repeats_one_scan_at_rest_agrees():
+    scan = data()[1][0]
+    still = [Odometry('r', t * NS // 10, np.zeros(3), None) for t in range(3000)]
+
+    with np.errstate(all='raise'):
+        fit = fit_sensor(still, [replace(scan, stamp=t * NS // 10) for t in range(3000)])
+
+    assert (fit.as_given, fit.delay_sigmas) == (0.0, 0.0)
+
+
 def test_a_short_run_says_nothing_about_the_gain_by_a_delay():
     fit = fit_sensor(*data(late=0.2, noise=(1e-2, 1e-2, 6e-3)))
 

@@ -27,6 +27,8 @@ WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360
     [
         ({}, []),
         ({'as_given': 1.9, 'moved': 1.0}, []),
+        ({'as_given': 0.0, 'moved': 0.0, 'delayed': 0.0, 'mirrored': 0.0, 'still': 0.0}, []),
+        ({'as_given': 1e-12, 'moved': 1e-13, 'pose': np.array([0.3, 0.0, 0.0])}, []),
         ({'as_given': 5.0, 'moved': 1.0, 'delayed': 4.0, 'pose': np.array([0.0, 0.0, 0.2])},
          [('sensor_pose', 'error', '+11.5 degrees')]),
         ({'as_given': 2.5, 'moved': 1.0, 'delayed': 2.4, 'pose': np.array([0.25, 0.0, 0.0])},
