@@ -83,7 +83,7 @@ CURES = {
         ('correct the static transform of the sensor or its sensor_pose: of a camera, that of its'
          ' optical frame, z ahead, x right and y down'),
         ('stamp observations with the time of the scan or image, not with that of its processing,'
-         ' or set sensor_delay of the robot to this time, and max_delay to more'))}
+         ' or set sensor_delay of the robot to {:.2f}, and max_delay to more'))}
 
 
 def check(
@@ -113,7 +113,8 @@ def check(
         given, odometry = collector.robots[robot], team.odometry[robot]
         scans = [without_systematic_errors(scan, given) for scan in team.scans[robot]]
         fit = fit_sensor(odometry, scans)
-        of_sensor = [] if fit is None else [*findings(f'{robot}/landmarks', fit)]
+        of_sensor = [] if fit is None else [
+            *findings(f'{robot}/landmarks', fit, given.sensor_delay)]
         yield from of_sensor or systematic_errors.check(given, odometry, team.scans[robot])
         if robot in any_post.robots:
             found = lasers.detectors[robot]
@@ -192,8 +193,13 @@ def _conditions(
             yield error_if(name in CORRUPTING_CONDITIONS)(name, f'{robot}/scan', what, cure)
 
 
-def findings(topic: str, fit: SensorFit) -> Iterator[Finding]:
-    """Yield what explains why pairs of observations on a topic disagree, if anything does."""
+def findings(topic: str, fit: SensorFit, sensor_delay: float = 0.0) -> Iterator[Finding]:
+    """
+    Yield what explains why pairs of observations on a topic disagree, if anything does.
+
+    Their stamps are earlier by `sensor_delay` [s] already.
+
+    """
     # A robot at rest that repeats one observation agrees up to rounding.
     if fit.as_given < MIN_DISAGREEMENT:
         return
@@ -239,7 +245,7 @@ def findings(topic: str, fit: SensorFit) -> Iterator[Finding]:
         yield found(
             'sensor_time',
             what=f'its stamps seem to be {abs(fit.delay):.2f} s too {late}: {share} otherwise',
-            cure=delayed)
+            cure=delayed.format(sensor_delay + fit.delay))
 
 
 def _radii(robot: str, radii: Iterable[float], given: DetectorSettings) -> Iterator[Finding]:

@@ -63,6 +63,16 @@ def test_what_explains_a_disagreement_is_named(changes, expected):
         assert part in finding.what
 
 
+@pytest.mark.parametrize(('given', 'delay', 'expected'), [
+    (0.0, 0.1, 'to 0.10'), (0.2, 0.1, 'to 0.30'), (0.0, -0.1, 'to -0.10')])
+def test_the_cure_of_late_stamps_is_the_whole_delay_with_its_sign(given, delay, expected):
+    fit = replace(AS_GIVEN, as_given=5.0, moved=4.0, delay=delay)
+
+    (finding,) = findings('r1/landmarks', fit, given)
+
+    assert f'sensor_delay of the robot {expected},' in finding.cure
+
+
 @pytest.fixture(scope='module')
 def recorded(tmp_path_factory):
     """Return a simulated bag of lasers."""
