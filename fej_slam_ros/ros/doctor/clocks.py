@@ -12,6 +12,7 @@ from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import Survey, TopicSeries
 from fej_slam_ros.ros.session.input_faults import MAX_PROCESSING
+from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 
 #: Upper bound of the share of the team's time that a robot may miss at the begin or end.
 MAX_SILENT_SHARE = 0.25
@@ -145,12 +146,15 @@ def _delays(
 ) -> Iterator[Finding]:
     """Yield topics whose delay, relative to the robot's odometry, exceeds `max_delay`."""
     limit = settings.max_delay * NS
+    corrections = {given.name: given.sensor_delay * NS for given in settings.robots}
     for name, series in survey.topics.items():
         robot, _, kind = name.rpartition('/')
         if robot not in robots or kind == 'ground_truth' or not series.stamps:
             continue
         topic = series.without_future(settings.future_limit * NS)
         delays = topic.delays() - _median_delay(robots[robot])
+        if kind in OBSERVATION_TOPICS:
+            delays += corrections[robot]
         behind = float(np.median(delays))
         is_other_clock = behind > MAX_PROCESSING
         if behind < -limit or is_other_clock:

@@ -9,7 +9,7 @@ import pytest
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.doctor.clocks import check
-from fej_slam_ros.ros.doctor.survey import OdometrySeries, Survey
+from fej_slam_ros.ros.doctor.survey import OdometrySeries, Survey, TopicSeries
 from helpers.records import team
 
 
@@ -59,3 +59,21 @@ def test_clocks_that_differ_are_named_also_where_max_delay_waits_for_slow_detect
     findings = [*check(skewed(r1=0.0, r2=offset), settings, clock_limit=1.0)]
 
     assert [finding.severity.value for finding in findings] == found
+
+
+@pytest.mark.parametrize(('late', 'sensor_delay', 'found'), [
+    (-0.3, 0.0, ['delayed']), (-0.3, -0.3, []), (0.3, 0.0, ['clock_skew']), (0.3, 0.3, []),
+    (0.0, 0.3, ['delayed'])])
+def test_a_delay_that_is_corrected_is_not_named(late, sensor_delay, found):
+    survey = skewed(r1=0.0)
+    logged = survey.topics['r1/odom'].logged
+    survey.topics['r1/landmarks'] = TopicSeries(
+        [stamp + round(late * NS) for stamp in logged], logged)
+    settings = team('r1', max_delay=0.1)
+    (robot,) = settings.robots
+
+    findings = [*check(
+        survey, replace(settings, robots=(replace(robot, sensor_delay=sensor_delay),)),
+        clock_limit=1.0)]
+
+    assert [finding.name for finding in findings] == found
