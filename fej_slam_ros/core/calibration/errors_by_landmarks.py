@@ -74,9 +74,11 @@ def fit_to_landmarks(
     fitted = partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs))
     found, of_all = shown_errors(
         fitted, LIMITS, stamps, np.append(given_odometry(robot), bearing_bias))
+    bearing = found.part(slice(3, 4))
+    # On circles, and where odometry is far off, a bias is not told from the position.
     return ErrorsByLandmarks(
-        found.part(slice(3)), _with_range_scale(range_scale, found.part(slice(3, 4))),
-        _shown_position(of_all, stamps))
+        found.part(slice(3)), _with_range_scale(range_scale, bearing),
+        _shown_position(of_all, stamps) * bearing.is_known)
 
 
 def _with_range_scale(given: float, bearing: ErrorEstimate) -> ErrorEstimate:

@@ -481,3 +481,14 @@ def test_findings_are_not_overwritten_without_force(tmp_path, capsys):
 def test_every_rejection_reason_has_a_cure():
     assert set(RejectionReason) == (
         CURES.keys() | REASONS_OF_THE_RUN | {RejectionReason.AFTER_TIME_JUMP})
+
+
+def test_a_robot_on_circles_with_coarse_odometry_has_its_sensor_where_it_is(doctor, tmp_path):
+    world = write_parameters(
+        tmp_path / 'world.yaml', environment='circles', robots=['r1', 'r2'], loops=3,
+        steps_per_loop=250, odometry_sigma=[0.05, 0.05, 0.02], seed=1)
+    assert run_verb('simulate', '--params', world, '--output', tmp_path / 'bag') == 0
+
+    _, found, _ = doctor(tmp_path / 'bag')
+
+    assert found == []

@@ -69,6 +69,14 @@ def test_no_position_is_reported_that_is_small_or_not_determined(radius, sensor)
     assert not fit(*run(radius=radius, sensor=sensor)).position.any()
 
 
+def test_wheels_that_skid_show_no_position():
+    # Turns are half as large as by odometry.
+    found = fit(*run(scale=(1.0, 0.5), turn_rate=0.3))
+
+    assert found.odometry.values[1] == pytest.approx(0.5, abs=0.01)
+    assert not found.position.any()
+
+
 @pytest.mark.parametrize('position', [(0.15, 0.0), (0.0, 0.15), (-0.2, 0.15)])
 def test_a_sensor_beside_the_origin_is_not_turned(position):
     """At 0.3 rad/s and 0.5 m/s, 0.15 m ahead turns the direction of travel by 0.09 rad."""
