@@ -19,7 +19,7 @@ from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import matches_in, team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import Odometry
+from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.datasets import csv_tables
 from fej_slam_ros.datasets.g2o import conversion, files
@@ -117,7 +117,7 @@ def _export_tables(
     """Write odometry, observations, pose priors and ground truth as tables."""
     messages = team_messages(bag, settings.estimation, names)
     collector = collect(messages, settings, needs_ids=False)
-    records = [record for record, _ in collector.records]
+    records = [record for record, _ in collector.records if not _is_before_time_0(record)]
     if not any(isinstance(record, Odometry) for record in records):
         raise UserError(NO_ODOMETRY)
     tables = csv_tables.tables(records)
@@ -128,6 +128,11 @@ def _export_tables(
         report, [robot.name for robot in csv_tables.settings(records).robots],
         {folder / name: csv_bytes(rows) for name, rows in tables.items()},
         [folder / name for name in csv_tables.COLUMNS if name not in tables])
+
+
+def _is_before_time_0(record: Record) -> bool:
+    """Return whether a scan is, by sensor_delay, from before the time at which tables begin."""
+    return isinstance(record, Scan | RobotScan) and record.stamp < 0
 
 
 def _graph_report(graph: Graph) -> Iterator[str]:

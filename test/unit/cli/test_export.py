@@ -152,6 +152,21 @@ def test_what_is_applied_to_the_data_is_left_out_of_their_parameters(tmp_path):
         'csv': applied.keys() - {'r1.sensor_pose'} | ids}
 
 
+def test_scans_before_time_0_by_a_delay_are_left_out_of_tables(tmp_path):
+    params = write_parameters(tmp_path / 'p.yaml', robots=['r1', 'r2'], **{
+        'r1.sensor_delay': 1.5, 'max_delay': 2.0})
+    expected = estimates(SHIPPED['two_circles'], params, tmp_path / 'expected')
+    output = tmp_path / 'csv'
+    assert run_verb(
+        'export', 'csv', SHIPPED['two_circles'], '--params', params, '--output', output) == 0
+
+    assert run_verb('convert', 'csv', '--input', output, '--output', tmp_path / 'back') == 0
+
+    got = estimates(tmp_path / 'back', f'{output}.yaml', tmp_path / 'got')
+    for name, rows in expected.items():
+        assert_allclose(got[name], rows, rtol=0.0, atol=ROUNDING)
+
+
 def test_poses_on_initialpose_are_those_of_their_robot(tmp_path):
     prior = raw_record(PosePrior('r2', 10**9, np.array([1.0, 2.0, 0.5]), 0.1 * np.eye(3)))
     write_bag(tmp_path / 'bag', [
