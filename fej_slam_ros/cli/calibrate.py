@@ -27,7 +27,7 @@ from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.calibration_run import (
-    calibrated, Calibration, Estimates, INNOVATIONS, is_known, parsed, TRUTH)
+    calibrated, Calibration, Estimates, INNOVATIONS, is_known, parsed, TRUTH, within_limits)
 from fej_slam_ros.cli.run_table import matched_in_words
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration import observation_errors, odometry_errors
@@ -207,7 +207,7 @@ def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
             ' seconds, as those of wheels and cameras do: if the former noise covers them, the'
             ' filter becomes overconfident; give more --seconds of a longer run, or ground truth')
     for kind, estimate in estimates.items():
-        scale = estimate.scales[''].scale
+        scale = within_limits(estimate.scales[''].scale)
         if is_known(estimates, kind) and not 1.0 / MAX_USUAL < scale < MAX_USUAL:
             invented = ', and for constants in twist.covariance' if kind == 'odometry' else ''
             yield (

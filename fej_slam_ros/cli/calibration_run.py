@@ -247,9 +247,14 @@ def _corrected(values: Mapping[str, object], estimates: Estimates) -> dict[str, 
             name = f'{kind}_noise_scale'
             corrected = {key: x for key, x in corrected.items() if key.split('.')[-1] != name}
             for robot, noise in estimates[kind].scales.items():
-                scale = min(max(noise.scale, 1.0 / MAX_NOISE_SCALE), MAX_NOISE_SCALE)
+                scale = within_limits(noise.scale)
                 corrected[f'{robot}.{name}'.lstrip('.')] = float(f'{scale:.4g}')
     return corrected
+
+
+def within_limits(scale: float) -> float:
+    """Return the noise scale that is written: parameters have limits."""
+    return min(max(scale, 1.0 / MAX_NOISE_SCALE), MAX_NOISE_SCALE)
 
 
 def is_known(estimates: Estimates, kind: str) -> bool:

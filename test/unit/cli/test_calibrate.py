@@ -131,6 +131,14 @@ def test_a_factor_that_noise_seldom_has_is_written_with_a_warning(calibrate, pla
     assert ('odometry_noise_scale' in printed and 'is written, but' in printed) == (stated < 0.2)
 
 
+def test_the_warning_has_the_factor_that_is_written_within_its_limits(calibrate, places):
+    # The standard deviations of odometry are 5,000 times too large.
+    _, printed, _ = calibrate(claiming(RECORDS, {Odometry: 1e4}))
+
+    assert scales(places[2])[0] == 0.001
+    assert 'odometry_noise_scale 0.001 is written, but' in printed
+
+
 def test_messages_that_were_recorded_twice_count_once(calibrate, places):
     calibrate(RECORDS)
     once = places[2].read_text()
