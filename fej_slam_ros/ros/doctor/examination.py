@@ -101,7 +101,7 @@ def examine(
             survey, used, replace(settings, estimation=used.estimator.settings),
             recorded.recorded_names())]
     return sorted(
-        _unexplained(findings, len(team_names)),
+        unexplained(findings, len(team_names)),
         key=lambda finding: finding.severity is not Severity.ERROR)
 
 
@@ -145,7 +145,7 @@ def _other_settings(given: Settings) -> Iterator[tuple[Finding, Settings]]:
     ), replace(given, shared_landmark_ids=not given.shared_landmark_ids)
 
 
-def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
+def unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
     """Yield the findings on a number of robots that no other one explains."""
     findings = [*_corrupting(findings)]
     names = Counter(finding.name for finding in findings)
@@ -181,12 +181,13 @@ def _unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:
 
 
 def _corrupting(findings: Sequence[Finding]) -> Iterator[Finding]:
-    """Yield the findings; poses of sensors are errors if observations of any robot do not fit."""
-    fits = not any(
-        finding.name == team.DOES_NOT_FIT and finding.severity is Severity.ERROR
-        for finding in findings)
+    """Yield the findings; poses of sensors are errors if observations of the robot do not fit."""
+    contradicted = {
+        finding.where for finding in findings
+        if finding.name == team.DOES_NOT_FIT and finding.severity is Severity.ERROR}
     for finding in findings:
-        is_error = finding.name in sensors.WRONG_POSES and not fits
+        robot = finding.where.partition('/')[0]
+        is_error = finding.name in sensors.WRONG_POSES and robot in contradicted
         yield replace(finding, severity=Severity.ERROR) if is_error else finding
 
 
