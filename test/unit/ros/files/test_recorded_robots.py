@@ -174,15 +174,17 @@ def test_a_bag_without_robots_needs_odometry(recorded):
 def test_a_robot_outside_a_complete_team_has_odometry_and_observations(recorded):
     topics = {**HUSKY, 'r1/odom': 'odometry', 'camera/odom': 'odometry', 'r1/raw': 'odometry'}
 
-    assert recorded(topics, ['r1']).unknown_robots() == {'husky1': (
-        'husky1/odometry/filtered',
-        ('--remap /husky1/odometry/filtered:=/husky1/odom'
-        ' --remap /husky1/tags:=/husky1/landmarks'))}
+    odometry, options = recorded(topics, ['r1']).unknown_robots()['husky1']
+
+    assert odometry == 'husky1/odometry/filtered'
+    assert options == (
+        '--remap /husky1/odometry/filtered:=/husky1/odom'
+        ' --remap /husky1/tags:=/husky1/landmarks')
 
 
 @pytest.mark.parametrize(('topics', 'team', 'cure'), [
-    ({**HUSKY}, ['r1'], ('add --remap /husky1/odometry/filtered:=/r1/odom'
-     ' --remap /husky1/tags:=/r1/landmarks')),
+    ({**HUSKY}, ['r1'],
+     'add --remap /husky1/odometry/filtered:=/r1/odom --remap /husky1/tags:=/r1/landmarks'),
     ({'r1/odom': 'odometry', 'r1/posts': 'observations'}, ['r1'],
      'add --remap /r1/posts:=/r1/landmarks'),
     ({'r1/odom': 'odometry', 'tags': 'observations'}, ['r1'],
