@@ -24,8 +24,8 @@ def text_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
     """
     body = [*rows]
-    widths = _widths([head, *body])
     lines = [head, *body]
+    widths = _widths(lines)
     if sum(widths) + 2 * (len(widths) - 1) > MAX_WIDTH:
         lines = [*_stacked(head, _widths([['' for _ in head], *body])), *body]
         widths = _widths(lines)

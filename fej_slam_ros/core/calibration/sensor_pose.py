@@ -17,14 +17,12 @@ from scipy.optimize import least_squares, minimize_scalar
 
 from fej_slam_ros.core.calibration.observation_pairs import (
     MAX_STAMP_ERROR, observation_pairs, PlacedPairs)
-from fej_slam_ros.core.calibration.shown_errors import blocks, MIN_BLOCKS
+from fej_slam_ros.core.calibration.shown_errors import blocks, MIN_BLOCKS, MIN_FIT_PAIRS
 from fej_slam_ros.core.geometry import Array, products, Stamps, wrap
 from fej_slam_ros.core.records import NS, Odometry, Scan
 
 #: Time between the two observations of a pair [ns]: odometry is still exact.
 PAIR_TIME = 3 * NS // 2
-#: Minimum number of pairs.
-MIN_OBSERVATION_PAIRS = 60
 #: Error of a sensor pose [m, m, rad] that is large, and the weight for each pair of the prior that
 #: keeps the pose near the given one where the motion does not determine it: on circles about one
 #: centre, turns about it change nothing.
@@ -70,7 +68,7 @@ def fit_sensor(odometry: Sequence[Odometry], scans: Sequence[Scan]) -> SensorFit
 
     """
     pairs = observation_pairs(odometry, scans, PAIR_TIME)
-    if len(pairs.sigma) < MIN_OBSERVATION_PAIRS:
+    if len(pairs.sigma) < MIN_FIT_PAIRS:
         return None
     given = pairs.at_odometry(0.0)
     pose, none = _fitted(given), np.zeros(3)
