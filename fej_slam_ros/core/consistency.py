@@ -11,7 +11,7 @@ import numpy as np
 
 from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.definiteness import are_definite
-from fej_slam_ros.core.geometry import Array, wrap_all
+from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.core.ground_truth import RecordedTruth
 
 #: Number of latest observations of a robot in its NIS, and the probability with which the NIS of a
@@ -45,13 +45,6 @@ def nees_per_dof(errors: Array, P: Array) -> Array:
     """Return NEES/dof, `nees` divided by d, whose mean is 1 for a consistent estimate."""
     values: Array = nees(errors, P) / errors.shape[-1]
     return values
-
-
-def pose_error(estimate: Array, truth: Array) -> Array:
-    """Return estimate - truth, or other differences, of poses (..., 3) with wrapped headings."""
-    error: Array = estimate - truth
-    error[..., 2] = wrap_all(error[..., 2])
-    return error
 
 
 def root_mean_square(errors: Array) -> float:
@@ -173,5 +166,5 @@ class PoseEvaluation:
         known, true = self._truth.find_all(robot, stamps)
         if len(true):
             self._scores.setdefault(robot, PoseScore()).add(
-                pose_error(np.array(poses)[known], true), np.array(P)[known])
+                pose_difference(np.array(poses)[known], true), np.array(P)[known])
             self._truth.forget_before(robot, stamps[known[-1]])

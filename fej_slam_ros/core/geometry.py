@@ -135,9 +135,7 @@ def interpolated(a: Array, b: Array, fraction: float) -> Array:
 
 def interpolated_all(a: Array, b: Array, fractions: Array) -> Array:
     """Return `interpolated` of m pairs of poses (m, 3): their positions lie on straight lines."""
-    motion = b - a
-    motion[:, 2] = wrap_all(motion[:, 2])
-    return poses_plus(a, fractions[:, None] * motion)
+    return poses_plus(a, fractions[:, None] * pose_difference(b, a))
 
 
 def transform(pose: Array, points: Array) -> Array:
@@ -150,6 +148,13 @@ def poses_plus(poses: Array, dx: Array) -> Array:
     sums = poses + dx.reshape(-1, 3)
     sums[:, 2] = wrap_all(sums[:, 2])
     return sums
+
+
+def pose_difference(a: Array, b: Array) -> Array:
+    """Return a - b of poses (..., 3), with wrapped headings."""
+    difference: Array = a - b
+    difference[..., 2] = wrap_all(difference[..., 2])
+    return difference
 
 
 def transform_poses(pose: Array, poses: Array) -> Array:

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.special import chdtr, erf
 
 from fej_slam_ros.core.chi_square import band_per_dof
-from fej_slam_ros.core.consistency import nees_per_dof, pose_error
+from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.definiteness import are_definite
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
 #: Probabilities of the confidence regions whose coverage is reported.
@@ -58,7 +58,7 @@ class ConsistencyStatistics:
 
 def pose_consistency(matched: MatchedPoses) -> tuple[Array, ConsistencyStatistics]:
     """Return NEES/3 (n,) of each pose, NaN for exactly known ones, and its statistics."""
-    values = _nees_per_dof(pose_error(matched.poses, matched.true), matched.P)
+    values = _nees_per_dof(pose_difference(matched.poses, matched.true), matched.P)
     uncertain = values[np.isfinite(values)]
     count = independent_samples(uncertain) if len(uncertain) else 0.0
     return values, ConsistencyStatistics(uncertain, 3, count)

@@ -11,8 +11,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import Array, rigid_fit, transform_poses
+from fej_slam_ros.core.geometry import Array, pose_difference, rigid_fit, transform_poses
 from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.evaluation.run_result import MatchedPoses
 
@@ -28,7 +27,7 @@ def statistics(errors: Array) -> dict[str, float]:
 def ape(matched: MatchedPoses, motion: Array | None = None) -> tuple[Array, Array]:
     """Return APE [m] and [rad], (n,) arrays, after a rigid motion (3,) of the estimated poses."""
     poses = matched.poses if motion is None else transform_poses(motion, matched.poses)
-    return _magnitudes(pose_error(poses, matched.true))
+    return _magnitudes(pose_difference(poses, matched.true))
 
 
 def rpe(matched: MatchedPoses, length: float) -> tuple[Array, Array]:

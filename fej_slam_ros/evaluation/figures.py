@@ -12,8 +12,7 @@ import numpy as np
 from scipy.special import chdtr
 
 from fej_slam_ros.core.chi_square import band_per_dof
-from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import Array, ellipse
+from fej_slam_ros.core.geometry import Array, ellipse, pose_difference
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.evaluation.run_evaluation import RunEvaluation
 from fej_slam_ros.figure_files import save
@@ -54,7 +53,7 @@ def draw_errors(file: BinaryIO, evaluation: RunEvaluation) -> None:
     figure = Figure(figsize=(11.0, 1.2 + 2.3 * rows), layout='constrained')
     grid = figure.subplots(rows, 3, sharex=True, squeeze=False)
     for row, (name, matched) in zip(grid, evaluation.in_map.items()):
-        errors = pose_error(matched.poses, matched.true)
+        errors = pose_difference(matched.poses, matched.true)
         seconds = (matched.stamps - _first_stamp(evaluation)) / NS
         for axis, (axes, unit) in enumerate(zip(row, ('x [m]', 'y [m]', 'heading [rad]'))):
             sigma = ELLIPSE_SIGMAS * np.sqrt(np.maximum(matched.P[:, axis, axis], 0.0))

@@ -7,8 +7,9 @@ from math import radians
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.consistency import nees_per_dof, pose_error
+from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
+from fej_slam_ros.core.geometry import pose_difference
 from fej_slam_ros.core.records import Scan, TruePose
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -54,7 +55,7 @@ def occluded(records, hidden, since, robots, **settings):
         pose for result in results for pose in result.poses
         if pose.robot == hidden and pose.stamp >= end]
     located = [pose for pose in poses if pose.frame == 'map']
-    errors = np.array([pose_error(pose.pose, true[pose.stamp]) for pose in located])
+    errors = np.array([pose_difference(pose.pose, true[pose.stamp]) for pose in located])
     values = nees_per_dof(errors, np.array([pose.P for pose in located]))
     return values.mean(), len(located) / len(poses), estimator
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.geometry import between, compose, pose_difference
 from fej_slam_ros.core.ordering.record_memory import identity
 from fej_slam_ros.core.records import NS, Scan, TruePose
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
@@ -132,7 +131,8 @@ def nees_of(team, records, frame):
     own, values = estimates[frame, start].pose, []
     for key, estimate in estimates.items():
         if key != (frame, start):
-            error = pose_error(estimate.pose, compose(own, between(true[frame, start], true[key])))
+            expected = compose(own, between(true[frame, start], true[key]))
+            error = pose_difference(estimate.pose, expected)
             values.append(error @ np.linalg.solve(estimate.P, error) / 3.0)
     return np.mean(values)
 

@@ -22,10 +22,9 @@ from scipy.special import chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.team_records import NearTruth, TeamRecords
-from fej_slam_ros.core.consistency import nees, pose_error
+from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.definiteness import is_definite
-from fej_slam_ros.core.geometry import (
-    Array, between, Flags, rotation, transform)
+from fej_slam_ros.core.geometry import Array, between, Flags, pose_difference, rotation, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.ordering.odometry_increments import increment
@@ -185,7 +184,7 @@ def _odometry_errors(
             # Standing still shows nothing about the noise of driving.
             if x.any() and is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
-                yield float(nees(pose_error(x, true), P))
+                yield float(nees(pose_difference(x, true), P))
             begin, x, P = later, np.zeros(3), np.zeros((3, 3))
 
 

@@ -18,8 +18,7 @@ from scipy.optimize import least_squares
 from fej_slam_ros.core.calibration.shown_errors import (
     ErrorEstimate, ErrorFit, ErrorLimits, shown_errors)
 from fej_slam_ros.core.calibration.true_motions import TrueMotions
-from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.geometry import Array, Flags, pose_difference
 from fej_slam_ros.core.settings import RobotSettings
 
 #: Limits of the scale of distances, that of turns, which is 0.5 to 0.7 where four wheels skid, and
@@ -42,7 +41,7 @@ def given_odometry(robot: RobotSettings) -> Array:
 def fit_to_truth(motions: TrueMotions, given: Array) -> ErrorEstimate:
     """Return the errors of odometry; those that the data do not determine are as `given` (3,)."""
     def errors(values: Array) -> Array:
-        e = pose_error(motions.true, motions.by_odometry(values))
+        e = pose_difference(motions.true, motions.by_odometry(values))
         # Relative to the scale: otherwise the scale 0, at which odometry has no noise, fits best.
         return e / values[[0, 0, 1]]
 

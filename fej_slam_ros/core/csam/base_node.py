@@ -18,12 +18,11 @@ from scipy.linalg import block_diag, cholesky, LinAlgError, qr, solve_triangular
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.chi_square import distances_where_tested
-from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.gauss_newton import (
     ConvergenceError, gauss_newton, NoMinimumError, SingularError)
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, Flags, Indices, inverse, pose_rotation, poses_plus, rigid_fit,
-    rotation, transform, transform_poses)
+    Array, between, compose, Flags, Indices, inverse, pose_difference, pose_rotation, poses_plus,
+    rigid_fit, rotation, transform, transform_poses)
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.factors import whitener
 
@@ -253,7 +252,7 @@ class _Algorithm1:
     def linearize(self, x: _Nodes) -> _LinearizedAlignment:
         """Return A' and b of eq. (25)."""
         C, n_m = _connector(*x, self._observations)
-        dx_p, dx_q = pose_error(x[0], self._p.poses), pose_error(x[1], self._q.poses)
+        dx_p, dx_q = pose_difference(x[0], self._p.poses), pose_difference(x[1], self._q.poses)
         dx = np.concatenate([dx_p.ravel(), dx_q.ravel(), np.zeros(3)])
         A = np.vstack([self._maps, C[:, self._free]])
         b = np.concatenate([-self._maps @ dx[self._free], n_m])

@@ -17,14 +17,13 @@ from itertools import combinations
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.csam.base_node import (
     align, Alignment, BaseNode, central, farthest, RendezvousInformation, RendezvousObservations)
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.rendezvous import Measurements, MIN_PER_OUTLIER, Rendezvous
 from fej_slam_ros.core.gauss_newton import ConvergenceError, SingularError
-from fej_slam_ros.core.geometry import Indices
+from fej_slam_ros.core.geometry import Indices, pose_difference
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.smoothing.marginals import Information
 
@@ -179,7 +178,7 @@ def _relates(rendezvous: Rendezvous, p: JointMap, q: JointMap) -> bool:
 
 
 def _agree(a: BaseNode, b: BaseNode, rules: JoinRules) -> bool:
-    difference = pose_error(b.pose, a.pose)
+    difference = pose_difference(b.pose, a.pose)
     # Also of base nodes that are exact in some direction.
     information = np.linalg.pinv(a.P + b.P, hermitian=True)
     return float(difference @ information @ difference) <= rules.limit(3)

@@ -14,7 +14,7 @@ from itertools import permutations
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import pose_error, PoseScore
+from fej_slam_ros.core.consistency import PoseScore
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
@@ -23,7 +23,7 @@ from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, T
 from fej_slam_ros.core.definiteness import has_information
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.core.matches import Matches
 from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.records import (
@@ -195,7 +195,8 @@ class TeamSmoother(TeamInput[PoseEstimate]):
             if len(true):
                 scores[name] = PoseScore()
                 scores[name].add(
-                    pose_error(trajectory.poses()[known], true), trajectory.covariances()[known])
+                    pose_difference(trajectory.poses()[known], true),
+                    trajectory.covariances()[known])
         return scores
 
     def state_hash(self) -> str:

@@ -14,11 +14,11 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 from scipy.special import chdtri
 
-from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Robot
-from fej_slam_ros.core.geometry import Array, poses_plus, rigid_fit, rotation, transform
+from fej_slam_ros.core.geometry import (
+    Array, pose_difference, poses_plus, rigid_fit, rotation, transform)
 from fej_slam_ros.core.models import F
 
 #: Probability with which a correct scan counts as one that fits the map nowhere.
@@ -76,7 +76,7 @@ def _inflate(
     """Make the squared distance of a robot from a pose (3,) in the map the expected one."""
     P = state.marginal([robot, *(a.observed for a in scan)])
     relative = P[:3, :3] - P[:3, 3:] @ np.linalg.lstsq(P[3:, 3:], P[3:, :3], rcond=None)[0]
-    error = pose_error(pose, state.pose(robot))
+    error = pose_difference(pose, state.pose(robot))
     # A pose that is known exactly has no covariance.
     factor = float(error @ np.linalg.lstsq(relative, error, rcond=None)[0]) / len(error)
     if factor > 1.0 and abs(error[2]) < MAX_HEADING_ERROR:

@@ -10,12 +10,11 @@ import sys
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import pose_error
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.linearization import Linearization, Points, Poses
 from fej_slam_ros.core.ekf.state import at_slot, JointState, Landmark, Robot, Variable
 from fej_slam_ros.core.ekf.whitening import whiten
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.core.joining.initial_alignment import (
     align, align_independently, closed_form, InitialAlignment, InitialScans)
 
@@ -121,7 +120,7 @@ def _with_unobserved(
     # The variables of the prior among those that were solved for.
     at = np.concatenate([np.arange(poses), 3 * len(solved.poses) + np.arange(points)])
     dx = np.concatenate([
-        *(pose_error(solved.poses[name], x) for name, x in prior.poses.items()),
+        *(pose_difference(solved.poses[name], x) for name, x in prior.poses.items()),
         *(solved.points[key] - x for key, x in prior.points.items())])
     whitening = whiten(prior.P, known.P[n:, :n], prior.P.diagonal())
     C, pivots = whitening.C, whitening.pivots

@@ -8,8 +8,7 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.calibration.odometry_errors import SIGMA_PER_MEDIAN
-from fej_slam_ros.core.consistency import pose_error
-from fej_slam_ros.core.geometry import Array, Flags, Indices
+from fej_slam_ros.core.geometry import Array, Flags, Indices, pose_difference
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.series import drop, Series
 
@@ -41,7 +40,7 @@ def noise(truth: Series) -> Array:
     poses are sparser.
 
     """
-    steps = pose_error(truth.rows[1:], truth.rows[:-1])
+    steps = pose_difference(truth.rows[1:], truth.rows[:-1])
     second = np.diff(steps, axis=0)[truth.stamps[2:] - truth.stamps[:-2] <= SMOOTH_TIME]
     if not len(second):
         return np.zeros(3)
@@ -85,7 +84,7 @@ def _slips(truth: Series, speeds: Array) -> tuple[Indices, Indices]:
     least = np.maximum(MIN_SLIP, usual)
 
     def is_jump(before: Indices, after: Indices) -> Flags:
-        steps = np.abs(pose_error(truth.rows[after], truth.rows[before]))
+        steps = np.abs(pose_difference(truth.rows[after], truth.rows[before]))
         dt = (truth.stamps[after] - truth.stamps[before]) / NS
         jumps: Flags = (steps > least + dt[:, None] * [v, v, w]).any(axis=1)
         return jumps

@@ -14,14 +14,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import nees_per_dof, pose_error
+from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.csam import team_solution
 from fej_slam_ros.core.csam.map_merging import join_maps
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap, merged
 from fej_slam_ros.core.csam.message_sizes import sizes
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
-from fej_slam_ros.core.geometry import Array, between, inverse, transform
+from fej_slam_ros.core.geometry import Array, between, inverse, pose_difference, transform
 from fej_slam_ros.core.records import LandmarkKey, Record
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
@@ -201,11 +201,11 @@ def _nees(truth: RendezvousWorld, joint: JointMap, P: Array, P_points: Array) ->
     """Return the mean NEES per degree of freedom, without the start of P, which is exact."""
     start = truth.true_poses[truth.robots[0]][0]
     poses = [between(start, pose) for robot in joint.robots for pose in truth.true_poses[robot]]
-    errors = pose_error(joint.values.poses, np.array(poses))
+    errors = pose_difference(joint.values.poses, np.array(poses))
     points = np.array([truth.landmarks[_true_id(truth, keys[0])] for keys in joint.landmarks])
     point_errors = joint.values.points - transform(inverse(start), points)
     (robot, base), = joint.base_nodes(joint.information()).items()
-    base_error = pose_error(base.pose, between(start, truth.true_poses[robot][0]))
+    base_error = pose_difference(base.pose, between(start, truth.true_poses[robot][0]))
     return {
         'poses': float(nees_per_dof(errors[1:], P[1:]).mean()),
         'landmarks': float(nees_per_dof(point_errors, P_points).mean()),

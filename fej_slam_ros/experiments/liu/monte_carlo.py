@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import nees_per_dof, pose_error
+from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, Step
@@ -134,7 +134,7 @@ def _estimate(
         raise RuntimeError('a robot has left map, where all robots of [Liu] stay')
     poses = {
         name: _pose_errors(
-            pose_error(
+            pose_difference(
                 np.array([result.poses[i].pose for result in results]), world.true_poses[name]),
             np.array([result.poses[i].P for result in results]))
         for i, name in enumerate(world.robots)}

@@ -16,9 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import pose_error, root_mean_square
+from fej_slam_ros.core.consistency import root_mean_square
 from fej_slam_ros.core.estimator import Estimator
-from fej_slam_ros.core.geometry import Array, compose, Indices, transform
+from fej_slam_ros.core.geometry import Array, compose, Indices, pose_difference, transform
 from fej_slam_ros.core.joining.initial_alignment import closed_form, InitialAlignmentError
 from fej_slam_ros.core.records import TrueLandmarks, TruePose
 from fej_slam_ros.core.smoothing.factors import LandmarkFactors, OdometryFactors, Values
@@ -276,7 +276,7 @@ def rmse(estimate: ParkEstimate, reference: ParkEstimate) -> dict[str, float]:
     """Return the entries: root mean square over all evaluated steps, or all landmarks."""
     entries = {}
     for robot, first in FIRST_STEPS.items():
-        error = pose_error(estimate.poses[robot][first:], reference.poses[robot][first:])
+        error = pose_difference(estimate.poses[robot][first:], reference.poses[robot][first:])
         entries[f'{robot}_pos'] = root_mean_square(error[:, :2])
         entries[f'{robot}_head'] = root_mean_square(error[:, 2:])
     errors = [point - reference.points[id_] for id_, point in estimate.points.items()]
@@ -330,7 +330,7 @@ def _as_team(estimate: ParkEstimate, logs: TeamLogs, team: CarTeam) -> ParkEstim
 def _difference(estimate: ParkEstimate, stored: XGni) -> MaxDifference:
     """Return the difference of the one car's estimate from the stored one without last pose."""
     (car,) = estimate.poses.values()
-    poses = pose_error(car[:len(stored.poses)], stored.poses)
+    poses = pose_difference(car[:len(stored.poses)], stored.poses)
     points = np.array([point - stored.points[id_] for id_, point in estimate.points.items()])
     return MaxDifference(
         float(np.linalg.norm(np.concatenate([poses[:, :2], points]), axis=1).max()),

@@ -16,14 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import (
-    nees_per_dof, pose_error, root_mean_square, total_nis_per_dof)
+from fej_slam_ros.core.consistency import nees_per_dof, root_mean_square, total_nis_per_dof
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import (
-    Array, compose, Flags, Indices, inverse, pose_rotation, poses_at, rigid_fit, transform,
-    transform_poses)
+    Array, compose, Flags, Indices, inverse, pose_difference, pose_rotation, poses_at, rigid_fit,
+    transform, transform_poses)
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, run_settings
@@ -280,7 +279,7 @@ def _errors(trajectory: Trajectory, truth: Series) -> MrclamErrors:
     estimated = poses_at(truth.stamps, trajectory.stamps, trajectory.poses)[used]
     true = truth.rows[used]
     return MrclamErrors(
-        estimated, true, nees_per_dof(pose_error(estimated, true), trajectory.P[after][used]),
+        estimated, true, nees_per_dof(pose_difference(estimated, true), trajectory.P[after][used]),
         float(trajectory.in_map.mean()))
 
 
@@ -324,7 +323,7 @@ def _nothing_observed_twice(task: MrclamTask) -> str:
 
 def _rmse(estimated: Array, true: Array) -> tuple[float, float]:
     """Return the RMSE of positions [m] and headings [rad] of poses (n, 3)."""
-    errors = pose_error(estimated, true)
+    errors = pose_difference(estimated, true)
     return root_mean_square(errors[:, :2]), root_mean_square(errors[:, 2:])
 
 

@@ -7,16 +7,14 @@ The runs of one test take 1 to 6 s together; all numbers in comments are those o
 """
 
 from functools import cache
-from math import pi, radians
+from math import radians
 
 import numpy as np
-from numpy.testing import assert_allclose
 import pytest
 from scipy.stats import chi2
 
 from fej_slam_ros.core.chi_square import band_per_dof
-from fej_slam_ros.core.consistency import (
-    nees, nees_per_dof, NisMonitor, pose_error, PoseEvaluation, PoseScore)
+from fej_slam_ros.core.consistency import nees, nees_per_dof, NisMonitor, PoseEvaluation, PoseScore
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import TruePose
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -41,12 +39,6 @@ def test_nees_weights_errors_by_the_inverse_covariance():
     assert nees(error, P) == pytest.approx(3.0)
     assert nees(2.0 * error, P) == pytest.approx(12.0)
     assert nees_per_dof(error, P) == pytest.approx(1.0)
-
-
-def test_a_heading_error_is_wrapped():
-    error = pose_error(np.array([1.0, 2.0, pi - 0.1]), np.array([0.0, 0.0, 0.2 - pi]))
-
-    assert_allclose(error, [1.0, 2.0, -0.3], atol=1e-15)
 
 
 def test_rmse_is_of_all_poses_and_nees_of_those_with_a_definite_covariance():

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 
 from fej_slam_ros.core.geometry import (
-    compose, inverse, poses_at, products, rigid_fit, rotations, runs, starts_of, symmetric,
-    transform, transform_poses, upper_triangular)
+    compose, inverse, pose_difference, poses_at, products, rigid_fit, rotations, runs, starts_of,
+    symmetric, transform, transform_poses, upper_triangular)
 from helpers.core import turn
 
 
@@ -21,6 +21,12 @@ def test_transform_poses_equals_compose_bit_for_bit():
 
 def test_transform_poses_of_no_poses_is_empty():
     assert transform_poses(np.ones(3), np.empty((0, 3))).shape == (0, 3)
+
+
+def test_the_difference_of_poses_has_a_wrapped_heading():
+    a, b = np.array([1.0, 2.0, np.pi - 0.1]), np.array([0.0, 0.0, 0.2 - np.pi])
+
+    assert_allclose(pose_difference(a, b), [1.0, 2.0, -0.3], atol=1e-15)
 
 
 def test_headings_are_interpolated_across_pi():
