@@ -184,8 +184,8 @@ def _estimate(
     has_innovations = bool(amounts['landmark'] or amounts['robot'])
     if not estimates and not has_innovations:
         raise UserError(
-            f'{arguments.bag} has no observations, which calibration without ground truth needs:'
-            ' record <robot>/ground_truth, or landmarks')
+            f'{arguments.bag} has no usable observations, which calibration without ground truth'
+            ' needs: record <robot>/ground_truth, or landmarks; doctor says why some are unused')
     if not rest or not has_innovations or arguments.source == 'truth':
         return estimates
     beginning = _beginning(records, arguments.seconds)

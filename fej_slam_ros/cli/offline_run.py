@@ -171,9 +171,38 @@ def process(
         _renew_picture(folder, arguments.picture)
 
 
-def require_use(arguments: argparse.Namespace, sessions: Sequence[Session]) -> None:
-    """Raise a `UserError` if all odometry or all scans of the bag were rejected."""
+def print_tables(
+    arguments: argparse.Namespace, sessions: Sequence[Session], tables: Iterable[str]
+) -> None:
+    """
+    Print the tables of sessions; warn before if nothing was observed.
+
+    Raises
+    ------
+    UserError
+        After the tables, if all odometry or all scans of the bag were rejected.
+
+    """
     flows = _flows(sessions)
+    _warn_of_odometry_only(arguments, flows)
+    print('\n\n'.join(tables))
+    _require_use(arguments, flows, sessions[0].settings)
+
+
+def _warn_of_odometry_only(
+    arguments: argparse.Namespace, flows: Iterable[tuple[str, TopicFlow]]
+) -> None:
+    scans = [flow for kind, flow in flows if kind in OBSERVATION_TOPICS]
+    if not any(flow.observations or flow.rejected_in_a_row for flow in scans):
+        logging.getLogger(__name__).warning(
+            '%s has no observations of landmarks or robots, so all poses are those of odometry'
+            ' alone: fej_slam doctor %s --params %s names the cause',
+            arguments.bag, arguments.bag, arguments.params)
+
+
+def _require_use(
+    arguments: argparse.Namespace, flows: Sequence[tuple[str, TopicFlow]], settings: RunSettings
+) -> None:
     for kinds in ('odom',), OBSERVATION_TOPICS:
         rejected = [flow.rejected_in_a_row for kind, flow in flows if kind in kinds]
         received = sum(flow.received for kind, flow in flows if kind in kinds)
@@ -181,21 +210,11 @@ def require_use(arguments: argparse.Namespace, sessions: Sequence[Session]) -> N
         # A run that is restored from a checkpoint may get what it has used before.
         if received == reasons.total() and not reasons.keys() <= SENT_AGAIN:
             topics, (reason, _) = [f'<robot>/{kind}' for kind in kinds], *reasons.most_common(1)
-            _, cure = description_and_cure(topics[0], reason, sessions[0].settings.estimation)
+            _, cure = description_and_cure(topics[0], reason, settings.estimation)
             raise UserError(
                 f'all {received} messages on {" and ".join(topics)} are rejected:'
                 f' {reasons_in_words(reasons)}: {cure}; fej_slam doctor {arguments.bag} --params'
                 f' {arguments.params} checks the bag')
-
-
-def warn_of_odometry_only(arguments: argparse.Namespace, sessions: Sequence[Session]) -> None:
-    """Warn that the robots have observed nothing."""
-    scans = [flow for kind, flow in _flows(sessions) if kind in OBSERVATION_TOPICS]
-    if not any(flow.observations or flow.rejected_in_a_row for flow in scans):
-        logging.getLogger(__name__).warning(
-            '%s has no observations of landmarks or robots, so all poses are those of odometry'
-            ' alone: fej_slam doctor %s --params %s names the cause',
-            arguments.bag, arguments.bag, arguments.params)
 
 
 def _flows(sessions: Iterable[Session]) -> list[tuple[str, TopicFlow]]:

@@ -24,8 +24,6 @@ def run(arguments: argparse.Namespace) -> int:
     begin = partial(
         EstimatorSession, outputs=EstimatorOutputs if arguments.write_bag else NoOutputs)
     runs = [*offline_run.process(arguments, settings, 'estimator', begin)]
-    sessions = [session for session, _ in runs]
-    offline_run.warn_of_odometry_only(arguments, sessions)
-    print('\n\n'.join(run_table(summary) for _, summary in runs))
-    offline_run.require_use(arguments, sessions)
+    offline_run.print_tables(
+        arguments, [session for session, _ in runs], [run_table(summary) for _, summary in runs])
     return 0

@@ -63,13 +63,10 @@ def run(arguments: argparse.Namespace) -> int:
     runs = [*offline_run.process(
         arguments, settings, 'smoother', partial(BagSmootherSession, matches=matches),
         SmoothedSink)]
-    sessions = [session for session, _ in runs]
-    offline_run.warn_of_odometry_only(arguments, sessions)
-    print('\n\n'.join(
-        '\n'.join([run_table(summary), *_tables(session)]) for session, summary in runs))
     if matches is not None:
         print(matched_in_words(matches.counts))
-    offline_run.require_use(arguments, sessions)
+    offline_run.print_tables(arguments, [session for session, _ in runs], [
+        '\n'.join([run_table(summary), *_tables(session)]) for session, summary in runs])
     return 0
 
 

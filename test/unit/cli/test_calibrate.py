@@ -318,7 +318,7 @@ def test_too_little_data_is_reported(calibrate, places):
 
 @pytest.mark.parametrize(('records', 'options', 'sentence'), [
     (WITHOUT_TRUTH, ('--from', 'truth'), 'has no ground truth'),
-    ([r for r in WITHOUT_TRUTH if isinstance(r, Odometry)], (), 'has no observations'),
+    ([r for r in WITHOUT_TRUTH if isinstance(r, Odometry)], (), 'has no usable observations'),
     ([scan('r1', 0, [(1, (1.0, 0.0))])], (), 'none of the topics r1/odom, r2/odom'),
     ([odometry('r1', 0), odometry('r1', 100), scan('r1', 100, [(1, (1.0, 0.0))])], (),
      'has too little data to calibrate any noise'),
