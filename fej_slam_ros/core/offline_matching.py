@@ -50,4 +50,5 @@ def match(
     return Matches(
         {key: present for key, id_ in ids.items()
          if (present := manager.present_id(id_)) in confirmed},
-        sum(manager.counts.values(), Counter()))
+        sum(manager.counts.values(), Counter()),
+        {robot.name: robot for robot in settings.robots})

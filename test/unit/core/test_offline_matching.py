@@ -65,6 +65,22 @@ def test_what_matches_no_confirmed_landmark_is_left_out_of_a_scan():
     assert matches.with_ids(with_ids) is with_ids
 
 
+def test_observations_with_systematic_errors_that_are_corrected_keep_their_matches():
+    places = [(3.0, 0.0), (3.0, 2.0), (2.0, -3.0)]
+    records = [
+        record for ms in range(0, 1000, 100) for record in (
+            odometry('r1', ms, (0.0, 0.0, 0.0)), scan('r1', ms, [(NO_ID, z) for z in places]))]
+    errors = {'observation_range_scale': 1.01, 'observation_bearing_bias': 0.02}
+    settings = team('r1')
+
+    matches = match(
+        replace(settings, robots=(replace(settings.robots[0], **errors),)), received(records))
+
+    found = matches.with_ids(records[-1])
+    # The smoother and calibration correct them.
+    assert {tuple(o.z) for o in found.observations} == {*places}
+
+
 def test_a_robot_that_has_joined_no_other_keeps_its_matches():
     places = {'r1': [(3.0, 0.0), (3.0, 2.0)], 'r2': [(5.0, 1.0), (2.0, -3.0)]}
     records = [
