@@ -7,8 +7,11 @@ The pose of frame b in frame a is also the transform T_a_b of coordinates from b
 ``compose(T_a_b, T_b_c)`` is ``T_a_c``.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 import math
+from operator import attrgetter
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,8 +168,41 @@ def transform_poses(pose: Array, poses: Array) -> Array:
         pose[0] + c * x - s * y, pose[1] + s * x + c * y, wrap_all(pose[2] + phi)])
 
 
+class StampedPose(Protocol):
+    """A pose (3,) at a stamp [ns]."""
+
+    @property
+    def stamp(self) -> int:
+        """Return the stamp [ns]."""
+
+    @property
+    def pose(self) -> Array:
+        """Return the pose (3,)."""
+
+
+def pose_at(stamp: int, known: Sequence[StampedPose], longest_gap: int) -> Array | None:
+    """
+    Return the pose (3,) at a stamp [ns] by interpolation; None outside of poses in their order.
+
+    Also None between two poses that are further apart than the longest gap [ns].
+
+    """
+    after = bisect_left(known, stamp, key=attrgetter('stamp'))
+    if after < len(known) and known[after].stamp == stamp:
+        return known[after].pose
+    if after in (0, len(known)):
+        return None
+    first, last = known[after - 1:after + 1]
+    if last.stamp - first.stamp > longest_gap:
+        return None
+    return interpolated(
+        first.pose, last.pose, (stamp - first.stamp) / (last.stamp - first.stamp))
+
+
 def poses_at(stamps: Stamps, known: Stamps, poses: Array) -> Array:
     """Return poses (m, 3) at stamps (m,) by interpolation of poses (n, 3) at stamps `known`."""
+    # Floats do not resolve nanoseconds since 1970.
+    stamps, known = stamps - known[0], known - known[0]
     x, y, phi = poses.T
     return np.column_stack([
         np.interp(stamps, known, x), np.interp(stamps, known, y),

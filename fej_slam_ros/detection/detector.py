@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.geometry import (
-    Array, between, compose, interpolated, perpendicular, rotation, transform)
+    Array, between, compose, perpendicular, pose_at, rotation, transform)
 from fej_slam_ros.core.records import NS, Odometry
 from fej_slam_ros.detection.detections import Detections, RejectedSegment
 from fej_slam_ros.detection.laser_scan import LaserScan
@@ -22,7 +22,8 @@ from fej_slam_ros.detection.static_filter import StaticFilter
 #: Finds landmarks in a single scan.
 ScanDetector = Callable[[LaserScan], Detections]
 
-#: Time by which a later scan shows that odometry of the earlier one does not arrive [ns].
+#: Time by which a later scan shows that odometry of the earlier one does not arrive, and longest
+#: gap in the odometry across which it is interpolated [ns].
 MAX_WAIT = NS
 #: Motion [m, rad] during a scan up to which its first beam follows the last one.
 MAX_MOTION = 0.003
@@ -39,7 +40,7 @@ class StampedScan:
     stamp: int  #: time of the first beam [ns]
     scan: LaserScan
     mount: Array  #: (3,) array, pose of the laser in the base frame [m, m, rad]
-    frame: str = ''  #: name of the base frame, for the caller
+    frame: str = ''  #: frame in which its landmarks are published, for the caller
     laser: str = ''  #: which of the lasers of the robot
 
     @property
@@ -163,7 +164,8 @@ class Detector:
 
     def _processed(self, scan: StampedScan) -> tuple[StampedScan, Detections]:
         self.scans += 1
-        begin, end = self._pose_at(scan.stamp), self._pose_at(scan.end)
+        begin, end = (
+            pose_at(stamp, self._odometry, MAX_WAIT) for stamp in (scan.stamp, scan.end))
         if begin is None or end is None:
             self.without_odometry += 1
             found = self._detect(scan.scan)
@@ -212,19 +214,6 @@ class Detector:
             np.broadcast_to(np.eye(2), (len(points), 2, 2)), perpendicular(points)[:, :, None]], 2)
         R = found.R + share[:, None, None] * (J @ Q @ J.transpose(0, 2, 1))
         return replace(found, points=points, R=R)
-
-    def _pose_at(self, stamp: int) -> Array | None:
-        """Return the pose (3,) at a stamp, interpolated; None without odometry around."""
-        after = bisect_right(self._odometry, stamp, key=attrgetter('stamp'))
-        if after and self._odometry[after - 1].stamp == stamp:
-            return self._odometry[after - 1].pose
-        if after in (0, len(self._odometry)):
-            return None
-        first, last = self._odometry[after - 1:after + 1]
-        if last.stamp - first.stamp > MAX_WAIT:
-            return None
-        share = (stamp - first.stamp) / (last.stamp - first.stamp)
-        return interpolated(first.pose, last.pose, share)
 
     def _covariance(self, begin: int, end: int) -> Array:
         """Return the covariance (3, 3) of the motion between two stamps with a pose."""

@@ -88,8 +88,7 @@ def match(robot: str, trajectory: EstimatedTrajectory, truth: RecordedTruth) -> 
     # Estimates at their own stamps keep every bit.
     moved = known[exact] != stamps
     if moved.any():
-        # Floats do not resolve nanoseconds since 1970.
-        poses[moved] = poses_at(stamps[moved] - known[0], known - known[0], trajectory.poses)
+        poses[moved] = poses_at(stamps[moved], known, trajectory.poses)
         begin, end = exact[moved] - 1, exact[moved]
         share = ((stamps[moved] - known[begin]) / (known[end] - known[begin]))[:, None, None]
         P[moved] = (1.0 - share) * trajectory.P[begin] + share * trajectory.P[end]

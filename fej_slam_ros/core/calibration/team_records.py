@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from operator import attrgetter
 
-from fej_slam_ros.core.geometry import Array, between, compose, interpolated
+from fej_slam_ros.core.geometry import Array, between, compose, pose_at
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import (
     NS, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
@@ -14,6 +14,8 @@ from fej_slam_ros.core.records import (
 #: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
 #: against that of an observation.
 MAX_TRUTH_GAP = NS // 4
+#: Longest gap in the odometry [ns] across which it is interpolated.
+MAX_ODOMETRY_GAP = NS
 
 
 class TeamRecords:
@@ -61,19 +63,7 @@ class NearTruth:
         if not near:
             return None
         known = min(near, key=lambda s: abs(s - stamp))
-        begin, end = self._odometry_at(known), self._odometry_at(stamp)
+        begin, end = (pose_at(s, self._odometry, MAX_ODOMETRY_GAP) for s in (known, stamp))
         if begin is None or end is None:
             return None
         return compose(self._truth.pose(self._robot, known), between(begin, end))
-
-    def _odometry_at(self, stamp: int) -> Array | None:
-        after = bisect_left(self._odometry, stamp, key=attrgetter('stamp'))
-        if after == len(self._odometry):
-            return None
-        if self._odometry[after].stamp == stamp:
-            return self._odometry[after].pose
-        if after == 0:
-            return None
-        earlier, later = self._odometry[after - 1], self._odometry[after]
-        fraction = (stamp - earlier.stamp) / (later.stamp - earlier.stamp)
-        return interpolated(earlier.pose, later.pose, fraction)

@@ -300,12 +300,11 @@ class Filter:
 
         """
         state = self.state
-        robot = min(
-            state.robots.values(), key=lambda robot: float(state.marginal([robot])[2, 2]))
-        observed = observation_columns([robot, robot], [landmark, other])
+        any_robot = next(iter(state.robots.values()))
+        observed = observation_columns([any_robot, any_robot], [landmark, other])
         f, f_other = self.linearization.observation_points(state, observed)[:, 3:]
         H = np.hstack([np.eye(2), -np.eye(2), -perpendicular(f - f_other)[:, None]])
-        columns = np.append(position_indices([landmark, other]), robot.slot.start + 2)
+        columns = np.append(position_indices([landmark, other]), state.most_certain_heading())
         return state.estimate(landmark) - state.estimate(other), SparseRows(columns[None], H[None])
 
     def merge(self, landmark: Landmark, other: Landmark) -> None:

@@ -32,14 +32,8 @@ def far_points(state: JointState, columns: Indices) -> Indices:
 
 def renew(state: JointState, points: Indices) -> None:
     """Let points (k, 2) have their estimates as first estimates."""
-    P, theta = state.whole(), _most_certain_heading(state)
+    P, theta = state.whole(), np.array([state.most_certain_heading()])
     V = np.zeros((P.dimension, 1))
     V[points, 0] = perpendicular(state.x_hat[points] - state.x_first[points])
     P.transport(Transport(theta, V, np.zeros(P.dimension), state.heading_of))
     state.x_first[points] = state.x_hat[points]
-
-
-def _most_certain_heading(state: JointState) -> Indices:
-    """Return the index (1,) of the heading with the least variance."""
-    headings = state.headings()
-    return headings[[np.argmin(state.covariance.variance_bounds(headings[:, None]))]]

@@ -236,6 +236,11 @@ class JointState(VariableSet):
         """Return the estimates of states given by their indices, in the same shape."""
         return self.covariance.current_estimates(self.x_hat[states], states)
 
+    def most_certain_heading(self) -> int:
+        """Return the index of the heading with the least variance, of a state with robots."""
+        headings = self.headings()
+        return int(headings[np.argmin(self.covariance.variance_bounds(headings[:, None]))])
+
     def first_estimate(self, variable: Variable) -> Array:
         """Return a copy of the variable's first estimate, of the shape of `estimate`."""
         return self.x_first[variable.slot.start:variable.slot.stop].copy()

@@ -12,7 +12,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, perpendicular, wrap
 from fej_slam_ros.core.ordering.impossible_motion import (
-    AT_ORIGIN, MAX_SPEED_RATIO, MIN_SPEED_BOUNDS)
+    AT_ORIGIN, MAX_SPEED_RATIO, MIN_SPEED_BOUNDS, speeds)
 from fej_slam_ros.core.ordering.odometry_increments import (
     scaled_increment, without_systematic_errors)
 from fej_slam_ros.core.records import Motion, NS, Odometry
@@ -54,15 +54,15 @@ def missed_motion(
     duration = missed * dt
     u = without_systematic_errors(first.pose, duration, robot)
     distance, turn = float(np.hypot(*u[:2])), abs(wrap(float(u[2])))
-    speed, turn_rate = float(np.hypot(*increment.u[:2])) / dt, abs(float(increment.u[2])) / dt
-    fastest = np.maximum(MAX_SPEED_RATIO * np.array([speed, turn_rate]), MIN_SPEED_BOUNDS)
+    usual = speeds(increment.u, dt)
+    fastest = np.maximum(MAX_SPEED_RATIO * np.array(usual), MIN_SPEED_BOUNDS)
     if np.any([distance, turn] > duration * fastest + AT_ORIGIN):
         return f'{received}: too far from its origin for {duration:.1f} s'
     noise = missed * increment.Q
     sigma = float(np.sqrt(noise[2, 2]))
     if sigma > MAX_MISSED_TURN_SIGMA:
         return f'{received}: its heading has a standard deviation of {sigma:.2f} rad'
-    P = _covariance(u, noise, max(distance, speed * duration))
+    P = _covariance(u, noise, max(distance, usual.linear * duration))
     return Motion(first.robot, first.stamp, u, P)
 
 

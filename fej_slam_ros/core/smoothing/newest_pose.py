@@ -123,12 +123,12 @@ class NewestPose:
         self._forget_distant()
         associations = self._filter.start_landmarks(
             [Scan(FILTER_ROBOT, self._robot.stamp, tuple(observations))])
+        x, P = self.x, self.P
         try:
             self._filter.update(associations)
         except ArithmeticError as error:
             self.error = str(error)
-            self._filter = _filter(
-                self.x, (), np.zeros((0, 2)), NearMarginal.of_pose(self.P))
+            self._filter = _filter(x, (), np.zeros((0, 2)), NearMarginal.of_pose(P))
 
     def _forget_distant(self) -> None:
         state = self._filter.state

@@ -41,7 +41,10 @@ CURES: dict[Reason, tuple[str, str]] = {
         'input older than the checkpoint remembers', 'leave the parameter restore empty'),
     Reason.LEFT: (
         'message of a robot that is no longer in `robots`', 'add the robot to robots'),
-    Reason.NO_IDENTITY: ('observation without ID', 'choose another filter than ideal'),
+    Reason.NO_IDENTITY: (
+        'observation without ID, or of no landmark of the map', (
+            'give IDs, which filter ideal and node smoother need; fej_slam smooth matches'
+            ' observations without')),
     Reason.DUPLICATE: ('repeated message', 'record each topic once, from one publisher'),
     Reason.CONFLICTING: (
         'different odometry at one stamp', 'publish from one node, with a new stamp each time'),

@@ -4,11 +4,13 @@
 
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
+import pytest
 
 from fej_slam_ros.core.geometry import (
-    compose, inverse, pose_difference, poses_at, products, rigid_fit, rotations, runs, starts_of,
-    symmetric, transform, transform_poses, upper_triangular)
+    compose, inverse, pose_at, pose_difference, poses_at, products, rigid_fit, rotations, runs,
+    starts_of, symmetric, transform, transform_poses, upper_triangular)
 from helpers.core import turn
+from helpers.records import MS, odometry
 
 
 def test_transform_poses_equals_compose_bit_for_bit():
@@ -35,6 +37,28 @@ def test_headings_are_interpolated_across_pi():
     halfway = poses_at(np.array([5]), np.array([0, 10]), poses)
 
     assert_allclose(halfway, [[1.0, 2.0, np.pi]], atol=1e-15)
+
+
+def test_poses_between_stamps_since_1970_are_interpolated_to_the_nanosecond():
+    epoch = 1_700_000_000_000_000_000
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+
+    # Floats of this size are 256 apart.
+    (found,) = poses_at(np.array([epoch + 3]), epoch + np.array([0, 10]), poses)
+
+    assert_allclose(found, [0.3, 0.0, 0.0], atol=1e-15)
+
+
+@pytest.mark.parametrize(('ms', 'x'), [
+    (-1, None), (0, 0.0), (50, 0.05), (100, 0.1), (200, None), (600, 0.6), (601, None)])
+def test_a_pose_is_interpolated_within_and_not_across_a_long_gap(ms, x):
+    known = [odometry('r1', at) for at in (0, 100, 600)]
+
+    found = pose_at(ms * MS, known, 400 * MS)
+
+    assert (found is None) == (x is None)
+    if x is not None:
+        assert_allclose(found, [x, 0.0, 0.0], atol=1e-15)
 
 
 def test_inverse_undoes_a_pose_and_a_transform():

@@ -23,3 +23,15 @@ def test_a_given_pose_has_its_own_covariance_also_between_keyframes(turn):
     # The only keyframe, where the frame begins, is exact.
     assert_allclose(trajectory.newest().pose, pose, atol=1e-12)
     assert_allclose(trajectory.newest().P, P, atol=1e-12)
+
+
+def test_the_covariance_of_the_last_keyframe_is_added_twice_to_that_of_a_given_pose():
+    trajectory = RobotTrajectory('r1', 0, (), 100)
+    trajectory.add(Motion('r1', 1, np.array([3.0, 0.0, 0.0]), np.diag([0.04, 0.09, 0.01])), ())
+    P = np.diag([1e-4, 1.0, 1e-2])
+
+    trajectory.place(2, np.array([3.0, 5.0, 0.7]), P, ())
+
+    # Phi = [1 0 -5; 0 1 0; 0 0 1] takes the error of the keyframe 5 m to the left of it.
+    carried = np.array([[0.04 + 25.0 * 0.01, 0.0, -0.05], [0.0, 0.09, 0.0], [-0.05, 0.0, 0.01]])
+    assert_allclose(trajectory.newest().P, P + 2.0 * carried, atol=1e-12)

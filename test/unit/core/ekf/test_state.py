@@ -206,3 +206,14 @@ def test_variables_removed_together_leave_the_same_state_as_one_by_one():
     assert_array_equal(at_once.x_hat, singly.x_hat)
     assert_array_equal(
         at_once.marginal(at_once.variables()), singly.marginal(singly.variables()))
+
+
+def test_the_most_certain_heading_is_that_of_least_variance_and_places_differences():
+    _, filter_ = mapped()
+    state = filter_.state
+    robot = state.insert_robot('precise', 3, np.zeros(3), np.diag([9.0, 9.0, 1e-9]))
+
+    _, H = filter_.landmark_difference(state.landmarks['', 0], state.landmarks['', 1])
+
+    assert state.most_certain_heading() == robot.slot.start + 2
+    assert H.columns[0, -1] == robot.slot.start + 2

@@ -1,0 +1,46 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The newest pose of a robot between two solutions."""
+
+import numpy as np
+from numpy.testing import assert_array_equal
+import pytest
+
+from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.records import Observation
+from fej_slam_ros.core.smoothing import newest_pose
+from fej_slam_ros.core.smoothing.newest_pose import NearMarginal, NewestPose
+
+POINTS = np.array([[1.0, 0.0], [9.0, 0.0], [2.0, 0.0], [8.0, 0.0], [7.0, 0.0]])
+
+
+@pytest.fixture
+def newest():
+    """Return a robot at the origin that knows five landmarks."""
+    P = np.diag([0.2, 0.2, 0.1, *np.full(10, 0.05)])
+    return NewestPose(np.zeros(3), range(5), POINTS, NearMarginal(np.arange(5), P))
+
+
+def test_of_too_many_landmarks_the_nearest_ones_are_kept(newest, monkeypatch):
+    monkeypatch.setattr(newest_pose, 'MAX_FILTER_LANDMARKS', 2)
+
+    newest.observe([Observation(0, POINTS[0], np.eye(2))])
+
+    assert newest.points().keys() == {0, 2}
+
+
+def test_a_pose_whose_observations_cannot_be_used_is_that_before_them(newest, monkeypatch):
+    x, P, correction, calls = newest.x, newest.P, Covariance.correction, []
+
+    def fails_at_last(self, prior, r):
+        calls.append(prior)
+        if len(calls) == newest_pose.UPDATE_ITERATIONS:
+            raise ArithmeticError('not definite')
+        return correction(self, prior, r)
+
+    monkeypatch.setattr(Covariance, 'correction', fails_at_last)
+    newest.observe([Observation(0, POINTS[0] + 0.5, 0.01 * np.eye(2))])
+
+    assert newest.error == 'not definite'
+    assert_array_equal(newest.x, x)
+    assert_array_equal(newest.P, P)
