@@ -3,31 +3,29 @@
 """
 All checks of a bag: a survey of its messages and a trial run of the estimator, in one pass.
 
-Without parameters, the robots are those of the topics. A team that does not join one map is
-estimated again with the other kind of landmark IDs, shared by all robots or each robot's own.
+Without parameters, the robots are those of the topics.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.doctor import (
     clocks, frames, observations, odometry, rejections, sensors, stated_noise, team, timing,
     topics)
-from fej_slam_ros.ros.doctor.findings import error, Finding, Severity
+from fej_slam_ros.ros.doctor.findings import Finding, Severity
 from fej_slam_ros.ros.doctor.survey import Survey
 from fej_slam_ros.ros.doctor.trial import Trial
+from fej_slam_ros.ros.doctor.wrong_settings import wrong_settings
 from fej_slam_ros.ros.files import bags, front_end_topics
 from fej_slam_ros.ros.files.prior_map import prior_map
 from fej_slam_ros.ros.files.recorded_robots import RecordedRobots, robots_in
 from fej_slam_ros.ros.files.topic_names import TopicNames
-from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.parameters.detector_settings import detector_in
 from fej_slam_ros.ros.topic_types import expected_topics, OBSERVATION_TOPICS
@@ -90,7 +88,7 @@ def examine(
             survey.add(message)
         trial.receive(message)
     trial.close()
-    wrong, used = _wrong_settings(settings, trial, messages)
+    wrong, used = wrong_settings(settings, survey, trial, messages)
     findings = [
         *(wrong if given is not None else ()),
         *topics.check_files(path, names),
@@ -103,46 +101,6 @@ def examine(
     return sorted(
         unexplained(findings, len(team_names)),
         key=lambda finding: finding.severity is not Severity.ERROR)
-
-
-def _wrong_settings(
-    settings: RunSettings, trial: Trial, messages: Callable[[], Iterable[RawMessage]]
-) -> tuple[list[Finding], Trial]:
-    """Return the setting with another of which alone the trial is consistent, and that trial."""
-    estimation = settings.estimation
-    is_alone = len(estimation.robots) == 1
-    if is_alone or settings.node.prior_landmarks or team.is_consistent(trial):
-        return [], trial
-    for finding, others in _other_settings(estimation):
-        other = Trial(others, settings.node)
-        for message in messages():
-            other.receive(message)
-        other.close()
-        # Maps by own IDs that agree show that the IDs are shared, and something else is wrong.
-        if team.is_consistent(other) and not (
-                estimation.shared_landmark_ids and team.maps_agree(other)):
-            return [finding], other
-    return [], trial
-
-
-def _other_settings(given: Settings) -> Iterator[tuple[Finding, Settings]]:
-    """Yield other settings, with the finding that only they are right."""
-    placed = [robot.name for robot in given.robots if robot.start_pose is not None]
-    if placed:
-        yield error(
-            'wrong_start', ', '.join(placed),
-            'the start poses contradict the observations: all fit without them',
-            'correct start_pose, give an honest start_sigma, or leave both out'
-        ), replace(given, robots=tuple(
-            replace(robot, start_pose=None) for robot in given.robots))
-    kind, value = (
-        ("each robot's own", 'false') if given.shared_landmark_ids else
-        ('shared by all robots', 'true'))
-    yield error(
-        'wrong_ids', 'all robots',
-        f'landmark IDs seem to be {kind}: only then do the observations fit',
-        f'set the parameter shared_landmark_ids to {value}'
-    ), replace(given, shared_landmark_ids=not given.shared_landmark_ids)
 
 
 def unexplained(findings: Sequence[Finding], robots: int) -> Iterator[Finding]:

@@ -22,6 +22,9 @@ from fej_slam_ros.ros.topic_types import OBSERVATION_TOPICS
 #: Upper bounds of the share of observations that fail the gate, for a consistent robot and for one
 #: whose pose may be correct; 0.1 % of correct observations fail.
 MAX_GATED_SHARE, MAX_PARTLY_GATED_SHARE = 0.05, 0.2
+#: Upper bound of the share of observations without ID that may be of several landmarks, or of a
+#: known or a new one, for a robot whose pose may be correct.
+MAX_DOUBTFUL_SHARE = 0.25
 #: Minimum number of gate failures of one landmark ID to report it; fewer may be outliers.
 MIN_ID_FAILURES = 5
 #: Maximum number of contradicted IDs to report (two swapped pairs); more of them indicate a wrong
@@ -73,11 +76,22 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
 
 
 def is_consistent(trial: Trial) -> bool:
-    """Return whether all robots joined one map in which most observations pass the gate."""
+    """Return whether all robots joined one map, and most observations fit it."""
     groups = trial.estimator.groups
     return (
         trial.failure is None and not groups.not_in_map and not groups.moved_landmarks()
-        and all(trial.gated_share(name) < MAX_GATED_SHARE for name in trial.estimator.robots))
+        and all(
+            trial.gated_share(name) < MAX_GATED_SHARE
+            and trial.doubtful_share(name) < MAX_DOUBTFUL_SHARE
+            for name in trial.estimator.robots))
+
+
+def restarts(trial: Trial) -> int:
+    """Return how often robots restarted in frames of their own, and no poses made them."""
+    statistics = trial.estimator.statistics
+    return sum(
+        statistics.relocalized[name] for name in trial.estimator.robots
+        if not statistics.pose_priors_used[name])
 
 
 def maps_agree(trial: Trial) -> bool:
@@ -183,6 +197,13 @@ def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Findin
             + (f', likely lost: {lost}' if lost else ''),
             'check IDs, stamps, sensor_pose, the size of tags, the covariance of odometry, and x'
             ' ahead and y left in metres; then run fej_slam calibrate')
+    elif (doubtful := trial.doubtful_share(robot)) > MAX_DOUBTFUL_SHARE:
+        yield warning(
+            DOES_NOT_FIT, robot,
+            f'{100 * doubtful:.0f} % of its observations without ID may be of several landmarks,'
+            ' or of a known or a new one, and are not used',
+            f'check {robot}.start_pose and {robot}.start_sigma if given, sensor_pose, and the'
+            ' covariances of observations and odometry')
     if not is_wrong:
         yield from _contradicted_ids(robot, survey, trial)
 

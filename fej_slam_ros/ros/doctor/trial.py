@@ -78,6 +78,12 @@ class Trial:
         failed = counts[Reason.GATED] + counts[Reason.MOVED_LANDMARK]
         return failed / max(failed + statistics.observations_used[robot], 1)
 
+    def doubtful_share(self, robot: str) -> float:
+        """Return the share of a robot's observations that have no ID and no certain match."""
+        statistics = self.estimator.statistics
+        doubtful = statistics.rejection_counts[robot][Reason.DOUBTFUL_MATCH]
+        return doubtful / max(doubtful + statistics.observations_used[robot], 1)
+
     def _process(self, to_the_end: bool = False) -> None:
         if self.failure is None:
             try:

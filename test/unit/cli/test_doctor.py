@@ -2,21 +2,25 @@
 # SPDX-License-Identifier: Apache-2.0
 """`doctor` finds faults planted in copies of the shipped bags, and nothing in correct bags."""
 
+from dataclasses import replace
 import json
 from math import nan
 
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.geometry import between, compose
+from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.doctor.trial import REASONS_OF_THE_RUN
+from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.rejection_cures import CURES
 from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, exchanged, floating_ids, framed,
     in_degrees, in_map, in_whole_seconds, kept, looped, moved, NS, of_type_pose, out_of_order,
     planted, positions, recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose,
     with_poses, without)
-from helpers.ros import empty_cloud, run_verb, write_bag, write_parameters
+from helpers.ros import empty_cloud, raw_record, run_verb, write_bag, write_parameters
 
 C, R = 'two_circles', 'rendezvous'
 
@@ -389,18 +393,66 @@ def test_a_camera_that_is_turned_is_named_and_not_what_it_causes(doctor, tmp_pat
         ('error', 'sensor_pose', 'r1/landmarks')]
 
 
-@pytest.mark.parametrize(('unseen', 'start', 'sigma', 'name', 'status'), [
-    # r2 starts at (0, -18.5, 0): it turns the map with its wrong heading, or is lost.
-    (25, [0.0, -18.5, 0.4], 0.02, 'wrong_start', 1), (1, [9.0, 9.0, 2.0], 0.0, 'restarted', 0)])
-def test_a_wrong_start_pose_is_named(doctor, tmp_path, unseen, start, sigma, name, status):
-    path = planted(tmp_path / 'late', without('r2/landmarks', slice(unseen))(entries(C)))
+def without_ids(e):
+    return columns(id=lambda i: -1 + 0 * i)(e)
+
+
+@pytest.mark.parametrize(('fault', 'start', 'sigma'), [
+    # r2 starts at (0, -18.5, 0): it turns the map with its wrong heading, or is lost and restarts,
+    # or its observations may be of several landmarks.
+    (without('r2/landmarks', slice(25)), [0.0, -18.5, 0.4], 0.02),
+    (without('r2/landmarks', slice(1)), [9.0, 9.0, 2.0], 0.0),
+    (each('r1/landmarks r2/landmarks', without_ids), [5.0, -12.0, 0.6], 0.5)])
+def test_a_wrong_start_pose_is_named(doctor, tmp_path, fault, start, sigma):
+    path = planted(tmp_path / 'late', fault(entries(C)))
     params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'], **{
         'r2.start_pose': start, 'r2.start_sigma': [sigma] * 3})
 
-    got, found, printed = doctor(path, '--params', params)
+    status, found, printed = doctor(path, '--params', params)
 
-    assert (got, [f['name'] for f in found]) == (status, [name])
+    assert (status, [f['name'] for f in found]) == (1, ['wrong_start'])
     assert 'start_pose' in printed.out
+
+
+@pytest.mark.parametrize(('robot', 'parameter', 'start'), [
+    ('r1', 'anchor_pose', (0.0, 0.0)), ('r2', 'r2.start_pose', (0.0, -18.5))])
+def test_a_bag_that_begins_when_a_robot_has_moved_is_named(
+        doctor, tmp_path, robot, parameter, start):
+    path = planted(tmp_path / 'late', without(
+        f'{robot}/odom {robot}/landmarks', slice(20))(entries(C)))
+    *_, first = [e for e in entries(C) if e.topic == f'{robot}/odom'][:21]
+    params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'], **{
+        'r2.start_pose': [0.0, -18.5, 0.0], 'r2.start_sigma': [0.02] * 3})
+
+    status, found, _ = doctor(path, '--params', params)
+
+    assert (status, found[0]['name'], found[0]['where']) == (1, 'late_start', robot)
+    name, _, pose = found[0]['cure'].rpartition('set ')[2].partition(' to ')
+    # Both start with heading 0.
+    p, q = first.message.pose.pose.position, first.message.pose.pose.orientation
+    assert name == parameter
+    assert json.loads(pose) == pytest.approx(
+        [start[0] + p.x, start[1] + p.y, 2.0 * np.arctan2(q.z, q.w)], abs=1e-4)
+
+
+def test_a_robot_that_was_carried_has_restarted(doctor, tmp_path):
+    records = [*simulation.parse({'loops': 2, 'landmarks': 40, 'seed': 7}).records()]
+    own = [r for r in records if isinstance(r, Odometry) and r.robot == 'r2']
+    lifted, landed = own[60], own[80]
+
+    def by_wheels(record):
+        if not isinstance(record, Odometry) or record.robot != 'r2':
+            return record
+        if record.stamp < lifted.stamp:
+            return record
+        motion = between(landed.pose, record.pose) if record.stamp > landed.stamp else np.zeros(3)
+        return replace(record, pose=compose(lifted.pose, motion))
+
+    status, found, _ = doctor(write_bag(tmp_path / 'carried', map(raw_record, map(
+        by_wheels, records))))
+
+    assert status == 0
+    assert has_finding(found, 'restarted', 'r2', 'start_pose')
 
 
 def test_motion_beyond_the_limits_of_a_robot_is_named(doctor, tmp_path):

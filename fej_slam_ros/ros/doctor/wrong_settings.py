@@ -1,0 +1,97 @@
+# SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""
+Check of the start poses and of the kind of landmark IDs, by further trial runs.
+
+A team whose trial run is inconsistent, or in which robots restart, is estimated again with other
+settings. If it is consistent with these, with fewer restarts, the given ones are wrong.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+import math
+
+import numpy as np
+
+from fej_slam_ros.core.geometry import Array, compose
+from fej_slam_ros.core.ordering.impossible_motion import AT_ORIGIN
+from fej_slam_ros.core.settings import Settings, Triple
+from fej_slam_ros.ros.doctor import team
+from fej_slam_ros.ros.doctor.findings import error, Finding
+from fej_slam_ros.ros.doctor.survey import Survey
+from fej_slam_ros.ros.doctor.trial import Trial
+from fej_slam_ros.ros.messages import RawMessage
+from fej_slam_ros.ros.parameters import RunSettings
+
+
+def wrong_settings(
+    settings: RunSettings, survey: Survey, trial: Trial,
+    messages: Callable[[], Iterable[RawMessage]],
+) -> tuple[list[Finding], Trial]:
+    """Return the setting with another of which alone the trial is consistent, and that trial."""
+    estimation = settings.estimation
+    is_alone = len(estimation.robots) == 1
+    restarts = team.restarts(trial) if team.is_consistent(trial) else math.inf
+    if is_alone or settings.node.prior_landmarks or not restarts:
+        return [], trial
+    for finding, others in _other_settings(estimation, survey):
+        other = Trial(others, settings.node)
+        for message in messages():
+            other.receive(message)
+        other.close()
+        # Maps by own IDs that agree show that the IDs are shared, and something else is wrong.
+        if team.is_consistent(other) and team.restarts(other) < restarts and not (
+                estimation.shared_landmark_ids and team.maps_agree(other)):
+            return [finding], other
+    return [], trial
+
+
+def _other_settings(given: Settings, survey: Survey) -> Iterator[tuple[Finding, Settings]]:
+    """Yield other settings, with the finding that only they are right."""
+    placed = [robot.name for robot in given.robots if robot.start_pose is not None]
+    if placed:
+        yield from _late_starts(given, survey)
+        yield error(
+            'wrong_start', ', '.join(placed),
+            'the start poses contradict the observations: all fit without them',
+            'correct start_pose, give an honest start_sigma, or leave both out'
+        ), replace(given, robots=tuple(
+            replace(robot, start_pose=None) for robot in given.robots))
+    kind, value = (
+        ("each robot's own", 'false') if given.shared_landmark_ids else
+        ('shared by all robots', 'true'))
+    yield error(
+        'wrong_ids', 'all robots',
+        f'landmark IDs seem to be {kind}: only then do the observations fit',
+        f'set the parameter shared_landmark_ids to {value}'
+    ), replace(given, shared_landmark_ids=not given.shared_landmark_ids)
+
+
+def _late_starts(given: Settings, survey: Survey) -> Iterator[tuple[Finding, Settings]]:
+    """Yield start poses at the origins of odometry of robots that had moved before the bag."""
+    anchor_pose, robots = given.anchor_pose, {robot.name: robot for robot in given.robots}
+    cures: dict[str, str] = {}
+    for name, robot in robots.items():
+        _, poses = survey.odometry(name).ordered()
+        if not len(poses) or not (np.abs(poses[0]) > [AT_ORIGIN[0], *AT_ORIGIN]).any():
+            continue
+        if name == given.anchor:
+            anchor_pose = _moved(given.anchor_pose, poses[0])
+            cures[name] = f'anchor_pose to {[*anchor_pose]}'
+        elif robot.start_pose is not None:
+            start = _moved(robot.start_pose, poses[0])
+            robots[name] = replace(robot, start_pose=start)
+            cures[name] = f'{name}.start_pose to {[*start]}'
+    if cures:
+        yield error(
+            'late_start', ', '.join(cures),
+            'the first odometry recorded is not at its origin, and start poses hold there: the'
+            ' observations fit only if they are those of the origin',
+            'record before the robots drive, or, for this bag only, set '
+            + ', '.join(cures.values())
+        ), replace(given, anchor_pose=anchor_pose, robots=tuple(robots.values()))
+
+
+def _moved(start: Triple, motion: Array) -> Triple:
+    x, y, phi = np.round(compose(np.array(start), motion), 4).tolist()
+    return x, y, phi
