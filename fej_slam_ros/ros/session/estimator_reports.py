@@ -4,6 +4,7 @@
 
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+import sys
 
 from fej_slam_ros.core.consistency import NisMonitor
 from fej_slam_ros.core.ekf.state import JointState
@@ -25,6 +26,8 @@ from fej_slam_ros.ros.session.run_log import Missing, RunLog
 NIS_PATIENCE = 5 * NS
 #: Ratio of NIS to its expectation, or the inverse, above which it is an error, not a warning.
 NIS_ERROR = 4.0
+#: Time [ns] since the last restart of a robot within which a further one is not worth a line.
+OFTEN = 10 * NS
 
 
 class EstimatorDiagnostics(Diagnostics[Estimator]):
@@ -128,6 +131,8 @@ class EstimatorLog(RunLog[Estimator]):
         self._moved: dict[tuple[str, int | None], int] = {}
         self._relocalized = estimator.statistics.relocalized.copy()
         self._restarted: list[str] = []
+        self._restart_stamps: dict[str, int] = {}  # of the latest restart of each robot [ns]
+        self._restarts_often: dict[str, bool] = {}  # whether it soon followed the one before
         self._was_initialized = estimator.groups.is_initialized
         self._members = self._present_members()
         self._frames = _frames_of(self._members)
@@ -141,7 +146,7 @@ class EstimatorLog(RunLog[Estimator]):
         """Add the lines of a step."""
         self._note_first_messages()
         self._note_step_0(result)
-        self._note_restarts()
+        self._note_restarts(result.stamp)
         members = self._present_members()
         if members != self._members or self._restarted:
             frames = _frames_of(members)
@@ -190,17 +195,20 @@ class EstimatorLog(RunLog[Estimator]):
                 f'step 0 at {result.stamp / NS:.3f} s: the anchor {self._consumer.settings.anchor}'
                 f' observes its first landmark, in {MAP}: {", ".join(groups.team.robots)}'))
 
-    def _note_restarts(self) -> None:
+    def _note_restarts(self, stamp: int) -> None:
         relocalized = self._consumer.statistics.relocalized
         self._restarted = [
             name for name in relocalized if relocalized[name] > self._relocalized[name]]
         for robot in self._restarted:
             was_in_map = self._frames.pop(robot, MAP) == MAP
+            is_often = stamp - self._restart_stamps.get(robot, -sys.maxsize) < OFTEN
+            self._restart_stamps[robot], self._restarts_often[robot] = stamp, is_often
             if robot in self._inputs.health.pose_priors:
                 self.add(LogSeverity.INFO, f'{robot} restarts at a pose that is not known')
             else:
-                # In a frame of its own it may restart with each message.
-                severity = LogSeverity.WARN if was_in_map else LogSeverity.DEBUG
+                # It may restart with each message: in a frame of its own, or by two drivers.
+                severity = (
+                    LogSeverity.WARN if was_in_map and not is_often else LogSeverity.DEBUG)
                 reason = self._consumer.statistics.restart_reasons[robot]
                 self.add(severity, f'{robot} restarts: {reason}')
             self._relocalized[robot] = relocalized[robot]
@@ -215,7 +223,9 @@ class EstimatorLog(RunLog[Estimator]):
         for (before, frame), robots in moved.items():
             if frame in self._states:
                 cause = self._cause(robots, before, frame)
-                self.add(LogSeverity.INFO, f'{" and ".join(robots)} joined {frame}, by {cause}')
+                self.add(
+                    self._severity_of_joins(robots),
+                    f'{" and ".join(robots)} joined {frame}, by {cause}')
             else:
                 self.add(LogSeverity.DEBUG, f'{before} is renamed to {frame}')
 
@@ -228,9 +238,13 @@ class EstimatorLog(RunLog[Estimator]):
                 cause = 'its start_pose'
             else:
                 cause = 'its observations'
-            self.add(LogSeverity.INFO, f'{robot} joined {frame}, by {cause}')
+            self.add(self._severity_of_joins([robot]), f'{robot} joined {frame}, by {cause}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')
+
+    def _severity_of_joins(self, robots: Sequence[str]) -> LogSeverity:
+        are_often = all(self._restarts_often.get(robot, False) for robot in robots)
+        return LogSeverity.DEBUG if are_often else LogSeverity.INFO
 
     def _cause(self, robots: Sequence[str], before: str, frame: str) -> str:
         """Return by what robots joined a frame from the one before."""

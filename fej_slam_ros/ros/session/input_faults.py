@@ -43,6 +43,8 @@ LIMITS = {
         '{n} scans were dropped, their observations take longer to process than they last: publish'
         ' fewer',
 }
+#: Reasons for which odometry of two drivers on one topic is rejected.
+CONTRADICTIONS = {RejectionReason.IMPOSSIBLE_MOTION, RejectionReason.CONFLICTING}
 #: Rate of a topic [Hz] above which it takes most of the time of a node.
 MAX_RATE = 1000.0
 
@@ -141,6 +143,15 @@ def _other_type(given: RobotInput) -> Iterator[Fault]:
             yield Fault(Level.ERROR, (
                 f'{given.topic(kind)} is published as {", ".join(sorted(others))}, this node needs'
                 f' {SENT_TOPICS[kind]}'))
+
+
+def _several_drivers(given: RobotInput) -> Iterator[Fault]:
+    count = (given.types('odom') or ()).count(SENT_TOPICS['odom'])
+    # The publisher of a driver that died is known for some time beside that of the next one.
+    if count > 1 and CONTRADICTIONS & given.health.observations.recently_rejected().keys():
+        yield Fault(Level.ERROR, (
+            f'{given.topic("odom")} has {count} publishers that contradict each other: stop all'
+            ' but one, or remap their topics'))
 
 
 def _incompatible_qos(given: RobotInput) -> Iterator[Fault]:
@@ -298,10 +309,10 @@ def _delays_others(given: RobotInput) -> Iterator[Fault]:
 
 #: Each yields the faults of one kind.
 CONDITIONS: tuple[Callable[[RobotInput], Iterator[Fault]], ...] = (
-    _other_type, _incompatible_qos, _no_odometry, _odometry_stopped, _no_observations,
-    _observations_stopped, _all_rejected, _other_clock, _unmoved, _exact_odometry,
-    _unknown_odometry, _too_large, _too_frequent, _beyond_limits, _mostly_gated, _none_used,
-    _delays_others)
+    _other_type, _several_drivers, _incompatible_qos, _no_odometry, _odometry_stopped,
+    _no_observations, _observations_stopped, _all_rejected, _other_clock, _unmoved,
+    _exact_odometry, _unknown_odometry, _too_large, _too_frequent, _beyond_limits, _mostly_gated,
+    _none_used, _delays_others)
 
 
 def _stopped(given: RobotInput, kind: str, what: str) -> str:

@@ -454,6 +454,18 @@ def test_odometry_that_jumps_is_a_restart_with_the_jump():
     assert joined == 'r2 joined map, by its observations'
 
 
+def test_odometry_of_two_drivers_is_one_line_of_restarts():
+    jumps = [
+        replace(r, pose=r.pose + np.array([30.0 * (r.stamp // (100 * MS) % 2), 0.0, 0.0]))
+        if r.robot == 'r2' and not isinstance(r, Scan) and r.stamp > 500 * MS else r
+        for r in meeting(60)]
+
+    lines = lines_of(jumps)
+
+    assert sum('r2 restarts' in line for line in lines) == 1
+    assert sum('r2 joined map' in line for line in lines) == 2
+
+
 def test_a_lost_robot_restarts_and_recovers():
     def turned(record):
         return replace(record, observations=tuple(

@@ -258,6 +258,21 @@ def test_input_beyond_a_limit_is_an_error_for_some_seconds(reason, sentence):
     assert not any(sentence in message for _, message in case.at(16 * S))
 
 
+@pytest.mark.parametrize(('publishers', 'reason', 'is_told'), [
+    (2, 'impossible_motion', True), (2, 'conflicting', True),
+    # A driver that jumps, and one that has replaced another.
+    (1, 'impossible_motion', False), (2, 'late', False)])
+def test_drivers_that_publish_odometry_of_one_robot_are_an_error(publishers, reason, is_told):
+    case = flowing(20 * S).publish(odom=(ODOMETRY,) * publishers)
+    case.health.sample(9 * S * MS)
+    case.estimator.statistics.reject(Rejection('r2', 0, RejectionReason(reason)))
+    case.health.sample(10 * S * MS)
+
+    assert is_told == ((ERROR, (
+        '/fleet/r2/odom has 2 publishers that contradict each other: stop all but one, or remap'
+        ' their topics')) in case.at(10 * S))
+
+
 def test_faults_end_when_the_clock_is_set_back():
     case = flowing(20 * S)
     case.health.sample(99 * S * MS)
