@@ -19,7 +19,7 @@ from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.data_association.wrong_landmarks import rejected_start
 from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
-from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.join_failure import counted, JoinFailure
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner
@@ -200,9 +200,14 @@ class TeamJoiner:
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group; on failure, remove the outliers."""
         failure = self._join_by_shared(group, other)
-        if failure is not None and not failure.has_outliers() and all(
-                count_without_id(frame_group.state) for frame_group in (group, other)):
-            failure = self._join_by_constellation(group, other)
+        if failure is not None and not failure.has_outliers():
+            without_id = [count_without_id(each.state) for each in (group, other)]
+            if all(without_id):
+                failure = self._join_by_constellation(group, other)
+            elif any(without_id):
+                failure = JoinFailure(
+                    f'{failure.reason}; {counted(sum(without_id), "landmark")} without ID,'
+                    ' compared with others without ID only')
         if failure is None:
             self._groups.merge(group, other)
             self._landmark_manager.merge(group.filter, other.owner)

@@ -29,11 +29,12 @@ def check(survey: Survey, recorded_names: Mapping[str, str], share_tf: bool) -> 
     frames = {owner: survey.odometry(robot).frames for robot, owner in owners.items()}
     children = {owner: survey.odometry(robot).child_frames for robot, owner in owners.items()}
     topics = {owner: f'{robot}/odom' for robot, owner in owners.items()}
-    for field, right, by_robot in (
-            ('frame_id', 'odom', frames), ('child_frame_id', 'base_link', children)):
-        for owner, topic in topics.items():
-            yield from _odometry_frame(
-                owner, topic, by_robot, field, f'set {field} to {owner}/{right}')
+    for owner, topic in topics.items():
+        yield from _odometry_frame(
+            owner, topic, frames, 'frame_id', f'set frame_id to {owner}/odom')
+        yield from _odometry_frame(
+            owner, topic, children, 'child_frame_id',
+            f'set child_frame_id to {owner}/{_base_name(children[owner])}')
     if share_tf:
         yield from _shared_frames(topics, frames, children)
     for robot in owners:
@@ -52,6 +53,12 @@ def _owners(survey: Survey, recorded_names: Mapping[str, str]) -> dict[str, str]
         else robot for robot, name in recorded_names.items()}
     is_unique = len({*owners.values()}) == len(owners)
     return owners if is_unique else {robot: robot for robot in owners}
+
+
+def _base_name(frames: Counter[str]) -> str:
+    """Return the last part of the usual child frame of a robot."""
+    ((frame, _),) = frames.most_common(1) or [('', 0)]
+    return frame.rpartition('/')[2] or 'base_link'
 
 
 def _odometry_frame(

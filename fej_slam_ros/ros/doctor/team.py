@@ -133,13 +133,7 @@ def _not_joined(
         common = '; '.join(
             _common_observations(survey, robot, other, settings.shared_landmark_ids)
             for other in settings.robots if other is not robot)
-        shared = (
-            'drive both among the same five landmarks or more, at irregular distances; of lasers'
-            ' check reversed_beams and scan_duration of the detector'
-            if survey.observations(f'{robot.name}/landmarks').id_counts().keys() == {NO_ID} else
-            'let both observe the same landmarks with the same IDs'
-            if settings.shared_landmark_ids else
-            'set shared_landmark_ids: true if all robots use the same IDs')
+        shared = _cure_of_landmarks(robot, survey, settings)
         what, first = (
             (f'it leaves {MAP} and is outside at the end',
              'correct the other findings, run fej_slam calibrate if observations do not fit, ')
@@ -148,6 +142,25 @@ def _not_joined(
             'never_joins', robot.name, f'{what}: {reason} ({common or "it is the only robot"})',
             f'{first}{shared}, let robots observe each other ({robot.name}/robots), or give'
             f' {robot.name}.start_pose')
+
+
+def _cure_of_landmarks(robot: RobotSettings, survey: Survey, settings: Settings) -> str:
+    """Return what helps a robot to join by landmarks."""
+    have_ids = {
+        name: any(id_ > NO_ID for id_ in survey.observations(f'{name}/landmarks').id_counts())
+        for name in (other.name for other in settings.robots)}
+    if not have_ids[robot.name] and any(have_ids.values()):
+        return (
+            'give its landmarks IDs, as those of '
+            + ', '.join(name for name, has in have_ids.items() if has)
+            + ' have: without, they are compared with landmarks without ID only')
+    if not have_ids[robot.name]:
+        return (
+            'drive both among the same five landmarks or more, at irregular distances; of lasers'
+            ' check reversed_beams and scan_duration of the detector')
+    if settings.shared_landmark_ids:
+        return 'let both observe the same landmarks with the same IDs'
+    return 'set shared_landmark_ids: true if all robots use the same IDs'
 
 
 def _common_observations(

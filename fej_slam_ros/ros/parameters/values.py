@@ -89,8 +89,11 @@ def front_end_settings(
 ) -> Any:
     """Return the settings of a front end, of a class for the team and one for each robot."""
     robots = robot_names(values.get('robots', []))
+    # The estimator may have more robots.
+    owners = [*{name.rpartition('.')[0] for name in values} - {''}]
+    of_others = known_parameters(owners).keys() - full_names(team, of_robot, owners).keys()
     checked = given_values(
-        values, full_names(team, of_robot, robots), warn, robots, known_parameters(robots))
+        values, full_names(team, of_robot, robots), warn, robots, of_others)
     given = by_owner(checked, robots)
     return team(
         **given.pop(''), of_robots={robot: of_robot(**own) for robot, own in given.items()})

@@ -20,7 +20,7 @@ from fej_slam_ros.ros.files.checkpoint import refusing_malformed
 from fej_slam_ros.ros.messages import (
     decoded_as, deserialize, incoming, incoming_clouds, Message, RawMessage, serialize)
 from fej_slam_ros.ros.messages.common import from_time
-from fej_slam_ros.ros.parameters import NodeSettings
+from fej_slam_ros.ros.parameters import NodeSettings, RESERVED_NAMES
 from fej_slam_ros.ros.session.frames import FrameNames
 from fej_slam_ros.ros.session.input_health import InputHealth
 from fej_slam_ros.ros.session.late_starts import ArrivedOdometry, HeldOdometry, StartCheck
@@ -97,7 +97,7 @@ class Inputs:
         elif kind == STATIC_TF and self._uses_static(arrived.topic):
             for reason in self._mounts.receive(arrived):
                 self._reject('', arrived.received or 0, reason)
-        elif kind not in self.robot_topics or '/' in name:
+        elif kind not in self.robot_topics or '/' in name or name in RESERVED_NAMES:
             self.unused[arrived.topic] += 1
         elif name not in self._consumer.robots:
             self._reject(name, arrived.received or 0, RejectionReason.UNKNOWN_ROBOT)

@@ -98,6 +98,12 @@ FAULTS = {
         C, each('r2/odom', framed('banana')), 0, 'wrong_frame', 'r2/odom', 'r2/odom'),
     'no ids': (C, each('r2/landmarks', columns(id=lambda i: -1 + 0 * i)), 1, 'no_identity',
                'r2/landmarks', 'IDs'),
+    'no ids of one robot': (
+        C, each('r2/landmarks', columns(id=lambda i: -1 + 0 * i)), 1, 'never_joins', 'r2',
+        'give its landmarks IDs, as those of r1 have'),
+    'bare base frame': (
+        C, each('r1/odom', framed(child='base_footprint')), 0, 'wrong_frame', 'r1/odom',
+        'set child_frame_id to r1/base_footprint'),
     'no ids, mirrored': (
         C, both(
             each('r1/landmarks r2/landmarks', columns(id=lambda i: -1 + 0 * i)),

@@ -104,6 +104,17 @@ def test_frames_with_too_few_shared_landmarks_stay_apart_with_the_reason(joining
     assert joining.groups.not_in_map == {'r2': '2 shared landmarks, needs 3'}
 
 
+def test_landmarks_that_have_ids_for_one_robot_only_are_a_reason(joining):
+    joining.observe_landmarks('r1', POINTS)
+    joining.observe_landmarks('r2', in_frame_of_r2(POINTS), first_id=-100)
+
+    joining.joiner.join({})
+
+    assert joining.groups.not_in_map == {'r2': (
+        '0 shared landmarks, needs 3; 4 landmarks without ID, compared with others without ID'
+        ' only')}
+
+
 @pytest.mark.parametrize(('shared', 'attempts'), [(20, 10), (200, 1)])
 def test_joins_of_many_landmarks_that_do_not_fit_are_not_attempted_at_every_step(
     joining, monkeypatch, shared, attempts

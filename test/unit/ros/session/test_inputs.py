@@ -164,7 +164,10 @@ def test_a_robot_that_is_not_in_the_team_is_counted_by_its_name():
     assert run.estimator.state_hash() == HASH
 
 
-@pytest.mark.parametrize('topic', ['r1/people', 'tf', 'r1/laser/landmarks', 'camera/image'])
+@pytest.mark.parametrize('topic', [
+    'r1/people', 'tf', 'r1/laser/landmarks', 'camera/image',
+    # Published by the node itself.
+    'estimator/landmarks'])
 def test_other_topics_are_counted_and_ignored(topic):
     run = run_of(*GOOD, raw(topic, seen(ms=100), 900))
 
