@@ -165,10 +165,12 @@ def _delays(
                 'stamp scans with the time of their measurement, by the clock of the odometry')
         late = np.flatnonzero(delays > limit)
         if len(late) and not is_other_clock:
+            largest = float(delays.max())
             yield warning(
                 'delayed', name,
                 f'{len(late)} of {len(delays)} messages were recorded up to'
-                f' {seconds(float(delays.max()))} later than the usual delay of {robot}',
+                f' {seconds(largest)} later than the usual delay of {robot}',
+                'set the clock of the robot before it sends' if largest > MAX_PROCESSING else
                 f'raise max_delay (now {settings.max_delay:g} s), or shorten the transport',
                 len(late), int(topic.stamps[late[0]]))
 

@@ -54,7 +54,9 @@ CURES: dict[Reason, tuple[str, str]] = {
     Reason.AFTER_ODOMETRY: (
         'scan after the last odometry', 'record all odometry, and use one clock for all stamps'),
     Reason.LATE: (
-        'message after later ones were processed', 'raise max_delay (now {max_delay:g} s)'),
+        'message after later ones were processed', (
+            'raise max_delay (now {max_delay:g} s), or, if its stamps are seconds behind those of'
+            ' other robots, set its clock')),
     Reason.FUTURE: (
         'stamp beyond future_limit',
         'set the clock of the robot, or use_sim_time in simulation; raise future_limit for a bag'),
