@@ -154,6 +154,13 @@ class PoseEvaluation:
             if newest is not None and waiting[SCORED_TOGETHER - 1][0] <= newest:
                 self._score(robot)
 
+    def pass_over(self, robot: str, stamp: int) -> None:
+        """Drop the ground truth of a robot that is not in ``map`` before a stamp [ns]."""
+        if robot in self._waiting:
+            self._score(robot)
+        if not self._waiting.get(robot):
+            self._truth.forget_before(robot, stamp)
+
     def _score(self, robot: str) -> None:
         """Score the estimates of a robot up to its newest true pose."""
         waiting, newest = self._waiting[robot], self._truth.newest(robot)

@@ -321,7 +321,7 @@ class Estimator(TeamInput[StepResult]):
             if pose.frame == MAP:
                 self.evaluation.add(pose.robot, pose.stamp, pose.pose, pose.P)
             else:
-                self.truth.forget_before(pose.robot, pose.stamp)
+                self.evaluation.pass_over(pose.robot, pose.stamp)
         joined = tuple((robot.name, robot.stamp) for robot in self._joined())
         return StepResult(step.stamp, poses, joined, step.odometry, associated)
 

@@ -113,6 +113,19 @@ def test_scores_do_not_depend_on_when_they_are_read():
     assert evaluations[0].scores == evaluations[1].scores
 
 
+def test_poses_before_a_robot_leaves_the_map_are_scored():
+    truth = RecordedTruth()
+    evaluation = PoseEvaluation(truth)
+    for stamp in range(0, 100, 10):
+        evaluation.add('r1', stamp, np.ones(3), np.eye(3))
+        truth.add(TruePose('r1', stamp - 5, np.zeros(3)))
+    for stamp in range(100, 200, 10):
+        evaluation.pass_over('r1', stamp)
+        truth.add(TruePose('r1', stamp - 5, np.zeros(3)))
+
+    assert evaluation.scores['r1'].steps == 10
+
+
 def test_a_pose_without_truth_is_not_scored():
     truth = RecordedTruth()
     evaluation = PoseEvaluation(truth)
