@@ -36,8 +36,8 @@ from fej_slam_ros.core.settings import Settings
 
 
 #: Time between two comparisons of the landmarks without ID of two groups [ns]. It is also that
-#: between two attempts to join groups that share VARIABLES_OF_PERIOD landmarks: the cost of an
-#: attempt grows with the cube of their number.
+#: between two attempts to join groups that share VARIABLES_OF_PERIOD landmarks and rendezvous
+#: points: the cost of an attempt grows with the cube of their number.
 COMPARISON_PERIOD = NS
 VARIABLES_OF_PERIOD = 200
 #: Number of matches of landmarks without ID of which one may be left out because it does not fit.
@@ -63,7 +63,7 @@ class TeamJoiner:
         # they do not join.
         self._compared: dict[tuple[str, str], tuple[int, str]] = {}
         # By the owners of two groups: when joining them is attempted again [ns], how many
-        # landmarks they shared when it failed, and why.
+        # landmarks and points they shared when it failed, and why.
         self._postponed: dict[tuple[str, str], tuple[int, int, str]] = {}
 
     def change_settings(self, settings: Settings) -> None:
@@ -223,7 +223,9 @@ class TeamJoiner:
     def _join_by_shared(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group, but not again soon if that is expensive."""
         names, newest = (group.owner, other.owner), _newest_stamp(group, other)
-        shared = len(group.state.landmarks.keys() & other.state.landmarks.keys())
+        shared = sum(len(mine.keys() & theirs.keys()) for mine, theirs in (
+            (group.state.landmarks, other.state.landmarks),
+            (group.state.rendezvous_points, other.state.rendezvous_points)))
         due, shared_then, reason = self._postponed.get(names, (newest, 0, ''))
         # A robot that has restarted shares fewer.
         if newest < due and shared >= shared_then:

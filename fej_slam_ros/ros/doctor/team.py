@@ -3,8 +3,9 @@
 """Check of the trial run: all robots join one map, and observations agree with odometry."""
 
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,12 @@ MAX_CONTRADICTED_IDS = 4
 MIN_COMMON_IDS, MAX_DIFFERENCE = 5, 0.2
 #: Minimum number of IDs on <robot>/robots, and more than robots, that are those of landmarks.
 MIN_LANDMARK_IDS = 8
+#: Minimum number of shared landmarks that join two frames.
+MIN_JOINING = 2
+#: What to do where robots share enough.
+MISFIT_CURE = (
+    'correct the other findings, and run fej_slam calibrate: what they share does not fit by the'
+    ' covariances')
 EXCHANGED_TOPICS, DOES_NOT_FIT, NOTHING_USED = (
     'exchanged_topics', 'does_not_fit', 'nothing_used')
 
@@ -130,21 +137,49 @@ def _not_joined(
 ) -> Iterator[Finding]:
     reason = trial.estimator.groups.not_in_map.get(robot.name)
     if reason is not None and survey.odometry(robot.name).stamps:
-        common = '; '.join(
-            _common_observations(survey, robot, other, settings.shared_landmark_ids)
-            for other in settings.robots if other is not robot)
-        shared = _cure_of_landmarks(robot, survey, settings)
-        what, first = (
-            (f'it leaves {MAP} and is outside at the end',
-             'correct the other findings, run fej_slam calibrate if observations do not fit, ')
-            if robot.name in trial.joined else (f'it never joins {MAP}', ''))
+        shared = [
+            _Shared.by(robot, other, survey, settings.shared_landmark_ids)
+            for other in settings.robots if other is not robot]
+        has_left = robot.name in trial.joined
+        do_not_fit = has_left or any(
+            common.landmarks + common.mutual >= settings.join_min_landmarks for common in shared)
         yield error(
-            'never_joins', robot.name, f'{what}: {reason} ({common or "it is the only robot"})',
-            f'{first}{shared}, let robots observe each other ({robot.name}/robots), or give'
-            f' {robot.name}.start_pose')
+            'never_joins', robot.name,
+            (f'it leaves {MAP} and is outside at the end' if has_left else f'it never joins {MAP}')
+            + f': {reason} ({"; ".join(map(str, shared)) or "it is the only robot"})',
+            (MISFIT_CURE if do_not_fit else
+             _cure_of_landmarks(robot, survey, settings, shared)
+             + f', let robots observe each other ({robot.name}/robots)')
+            + f', or give {robot.name}.start_pose')
 
 
-def _cure_of_landmarks(robot: RobotSettings, survey: Survey, settings: Settings) -> str:
+class _Shared(NamedTuple):
+    """What a robot shares with another."""
+
+    other: str
+    landmarks: int
+    mutual: int  #: number of observations of each other
+
+    @classmethod
+    def by(
+        cls, robot: RobotSettings, other: RobotSettings, survey: Survey, shared_ids: bool
+    ) -> '_Shared':
+        mine, theirs = (
+            survey.observations(f'{name}/landmarks').id_counts().keys() - {NO_ID}
+            for name in (robot.name, other.name))
+        return cls(other.name, len(mine & theirs) if shared_ids else 0, sum(
+            survey.observations(f'{observer.name}/robots').id_counts()[observed.id]
+            for observer, observed in ((robot, other), (other, robot))))
+
+    def __str__(self) -> str:
+        return (
+            f'with {self.other}: {counted(self.landmarks, "shared landmark")},'
+            f' {counted(self.mutual, "observation")} of each other')
+
+
+def _cure_of_landmarks(
+    robot: RobotSettings, survey: Survey, settings: Settings, shared: Sequence[_Shared]
+) -> str:
     """Return what helps a robot to join by landmarks."""
     have_ids = {
         name: any(id_ > NO_ID for id_ in survey.observations(f'{name}/landmarks').id_counts())
@@ -158,23 +193,12 @@ def _cure_of_landmarks(robot: RobotSettings, survey: Survey, settings: Settings)
         return (
             'drive both among the same five landmarks or more, at irregular distances; of lasers'
             ' check reversed_beams and scan_duration of the detector')
-    if settings.shared_landmark_ids:
-        return 'let both observe the same landmarks with the same IDs'
-    return 'set shared_landmark_ids: true if all robots use the same IDs'
-
-
-def _common_observations(
-    survey: Survey, robot: RobotSettings, other: RobotSettings, shared_ids: bool
-) -> str:
-    mine, theirs = (
-        survey.observations(f'{name}/landmarks').id_counts().keys() - {NO_ID}
-        for name in (robot.name, other.name))
-    mutual = sum(
-        survey.observations(f'{observer.name}/robots').id_counts()[observed.id]
-        for observer, observed in ((robot, other), (other, robot)))
-    return (
-        f'with {other.name}: {len(mine & theirs) if shared_ids else 0} shared landmarks,'
-        f' {mutual} observations of each other')
+    if not settings.shared_landmark_ids:
+        return 'set shared_landmark_ids: true if all robots use the same IDs'
+    most = max((common.landmarks for common in shared), default=0)
+    lower = f', set join_min_landmarks: {most} if these are certain'
+    return 'let both observe the same landmarks with the same IDs' + (
+        lower if MIN_JOINING <= most < settings.join_min_landmarks else '')
 
 
 def _repeated_poses(trial: Trial) -> Iterator[Finding]:
@@ -204,11 +228,15 @@ def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Findin
     lost, gated = trial.estimator.innovations.lost_robots.reason(robot), trial.gated_share(robot)
     is_wrong = bool(lost) or gated > MAX_PARTLY_GATED_SHARE
     if lost or gated > MAX_GATED_SHARE:
+        of_robots = trial.failed_of_robots[robot]
+        ids, what = (
+            ('the IDs on <robot>/robots and <robot>.id, ', 'of robots')
+            if 2 * of_robots > trial.failed(robot) else ('IDs, ', 'of mapped landmarks'))
         yield error_if(is_wrong)(
             DOES_NOT_FIT, robot,
-            f'{100 * gated:.0f} % of its observations of mapped landmarks contradict the map'
+            f'{100 * gated:.0f} % of its observations, most of them {what}, contradict the map'
             + (f', likely lost: {lost}' if lost else ''),
-            'check IDs, stamps, sensor_pose, the size of tags, the covariance of odometry, and x'
+            f'check {ids}stamps, sensor_pose, the size of tags, the covariance of odometry, and x'
             ' ahead and y left in metres; then run fej_slam calibrate')
     elif (doubtful := trial.doubtful_share(robot)) > MAX_DOUBTFUL_SHARE:
         yield warning(

@@ -47,6 +47,8 @@ class Trial:
         self.first: dict[tuple[str, Reason], int] = {}
         #: Number of observations that failed the gate, by robot and landmark ID.
         self.gate_failures: Counter[tuple[str, int]] = Counter()
+        #: The same number of observations of robots, by observer.
+        self.failed_of_robots: Counter[str] = Counter()
         #: Robots that were in `map` at some time.
         self.joined: set[str] = set()
         #: Error that ended the run early.
@@ -72,11 +74,14 @@ class Trial:
         self._process(to_the_end=True)
 
     def gated_share(self, robot: str) -> float:
-        """Return the share of a robot's observations of mapped landmarks that failed the gate."""
-        statistics = self.estimator.statistics
-        counts = statistics.rejection_counts[robot]
-        failed = counts[Reason.GATED] + counts[Reason.MOVED_LANDMARK]
-        return failed / max(failed + statistics.observations_used[robot], 1)
+        """Return the share of a robot's compared observations that failed the gate."""
+        failed = self.failed(robot)
+        return failed / max(failed + self.estimator.statistics.observations_used[robot], 1)
+
+    def failed(self, robot: str) -> int:
+        """Return the number of a robot's observations that failed the gate."""
+        counts = self.estimator.statistics.rejection_counts[robot]
+        return counts[Reason.GATED] + counts[Reason.MOVED_LANDMARK]
 
     def doubtful_share(self, robot: str) -> float:
         """Return the share of a robot's observations that have no ID and no certain match."""
@@ -101,8 +106,9 @@ class Trial:
                 key = self._topic(rejection, arrived), rejection.reason
                 self.rejected[key] += 1
                 self.first.setdefault(key, rejection.stamp)
-            elif (rejection.reason in FIT_REASONS and rejection.id is not None
-                    and rejection.observed is None):
+            elif rejection.reason in FIT_REASONS and rejection.observed is not None:
+                self.failed_of_robots[rejection.robot] += 1
+            elif rejection.reason in FIT_REASONS and rejection.id is not None:
                 self.gate_failures[rejection.robot, rejection.id] += 1
 
     def _topic(self, rejection: Rejection, arrived: RawMessage | None) -> str:

@@ -174,6 +174,13 @@ FAULTS = {
         'calibrate'),
     'never join': (C, each('r2/landmarks', columns(id=lambda i: i + 1000)), 1, 'never_joins',
                    'r2', 'start_pose'),
+    'two landmarks shared': (
+        C, both(
+            each('r2/landmarks', columns(id=lambda i: i + 1000)),
+            # After step 0, which may join robots by two.
+            each('r2/landmarks', columns(
+                id=lambda i: np.where(np.isin(i, [1001, 1002]), i - 1000, i)), begin=20)), 1,
+        'never_joins', 'r2', 'set join_min_landmarks: 2'),
     'never observe each other': (
         R, without('p/robots q/robots'), 1, 'never_joins', 'q', 'start_pose'),
     'blind anchor': (C, without('r1/landmarks'), 1, 'blind_anchor', 'r1', 'anchor'),
@@ -372,6 +379,18 @@ def observing_each_other(tmp_path):
         robot_sigma=[0.05, 0.05])
     run_verb('simulate', '--params', world, '--output', tmp_path / 'bag')
     return tmp_path / 'bag', write_parameters(tmp_path / 'team.yaml', robots=['r1', 'r2'])
+
+
+def test_observations_of_robots_that_contradict_the_map_are_named_as_such(doctor, tmp_path):
+    bag, params = observing_each_other(tmp_path)
+    other = both(
+        kept('r1/landmarks', 4), each('r1/robots', lambda e: positions(e, lambda z: z + 3.0)))
+
+    _, found, _ = doctor(planted(tmp_path / 'other', other(entries(bag))), '--params', params)
+
+    (finding,) = [f for f in found if f['name'] == 'does_not_fit']
+    assert (finding['where'], 'most of them of robots' in finding['what']) == ('r1', True)
+    assert '<robot>.id' in finding['cure']
 
 
 def test_maps_that_agree_are_not_said_to_have_other_ids(doctor, tmp_path):

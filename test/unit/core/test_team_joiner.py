@@ -9,6 +9,7 @@ import pytest
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
@@ -134,6 +135,25 @@ def test_joins_of_many_landmarks_that_do_not_fit_are_not_attempted_at_every_step
     joining.groups.of('r2').robots['r2'].stamp = 2 * NS
     joining.joiner.join({})
     assert len(made) == attempts + 1
+
+
+def test_attempts_with_many_rendezvous_points_that_do_not_fit_are_rare(joining, monkeypatch):
+    rng = np.random.default_rng(1)
+    # 20 points at most.
+    for k in range(30):
+        joining.observe_robot(k, rng.uniform(-20.0, 20.0, 2), rng.uniform(-20.0, 20.0, 2))
+    for robot in ('r1', 'r2'):
+        joining.observe_landmarks(robot, rng.uniform(-20.0, 20.0, (180, 2)))
+    made, join = [], MapJoiner.join
+    failed = JoinFailure('do not fit')
+    monkeypatch.setattr(MapJoiner, 'join', lambda *args: made.append(join) or failed)
+
+    for stamp in range(NS, 2 * NS, NS // 10):
+        joining.groups.of('r2').robots['r2'].stamp = stamp
+        joining.joiner.join({})
+
+    # As of 200 landmarks; 180 are worth 0.73 s.
+    assert len(made) == 1
 
 
 def test_a_robot_that_no_longer_sends_is_joined_once_enough_is_shared(joining):
