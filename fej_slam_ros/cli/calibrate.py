@@ -20,6 +20,7 @@ Observations without IDs are matched by the estimator, again and again with the 
 import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 from tqdm import tqdm
 
@@ -59,6 +60,8 @@ OBSERVATION_HEADINGS = (
 
 #: Factor on noise beyond which something else is probably wrong.
 MAX_USUAL = 5.0
+#: Ratio of the NIS of two robots above which they need scales of their own.
+MAX_UNEVEN = 1.4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -105,8 +108,9 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     write_text(arguments.output, parameters.dump_values(corrected))
     print(_factor_table(found.estimates))
     print(text_table(SCORE_HEADINGS, (
-        (robot, *(cell for cells in zip(before[robot], after[robot]) for cell in cells))
-        for robot in before)))
+        (robot, *(
+            cell for scores in zip(before[robot].cells(), after[robot].cells())
+            for cell in scores)) for robot in before)))
     if found.errors.odometry():
         print(text_table(ODOMETRY_HEADINGS, _error_rows(
             found.errors.odometry_by_truth, found.errors.odometry_by_landmarks)))
@@ -115,14 +119,28 @@ def _calibrate(arguments: argparse.Namespace) -> int:
             found.errors.observations_by_truth, found.errors.observations_by_landmarks)))
     print('\n'.join([
         *_error_remarks(settings.estimation, found.errors), *_remarks(collector, found),
+        *_uneven(before, found.estimates),
         f'wrote {arguments.output}']))
     return 0
 
 
+class _Score(NamedTuple):
+    """How consistent the estimate of a robot is."""
+
+    nis_per_dof: float | None
+    nees_per_dof: float | None
+    gated: int  #: number of observations
+
+    def cells(self) -> Sequence[str]:
+        """Return the same for a table."""
+        return (
+            number(self.nis_per_dof, '.2f'), number(self.nees_per_dof, '.2f'), str(self.gated))
+
+
 def _scores(
     name: str, values: Mapping[str, object], records: Sequence[Received]
-) -> dict[str, tuple[str, str, str]]:
-    """Return NIS/dof, NEES/3 and the number of gated observations of each robot, as text."""
+) -> dict[str, _Score]:
+    """Return the score of each robot; `name` is that of the progress bar."""
     settings = parsed(values)
     estimator, _ = run_estimator(
         settings.estimation, tqdm(records, name, unit='msg', disable=None),
@@ -131,11 +149,28 @@ def _scores(
     for robot in estimator.robots:
         nis, score = estimator.innovations.nis[robot], estimator.evaluation.scores.get(robot)
         rejected = estimator.statistics.rejection_counts[robot]
-        gated = rejected[RejectionReason.GATED] + rejected[RejectionReason.MOVED_LANDMARK]
-        scores[robot] = (
-            number(nis.total / nis.dof if nis.dof else None, '.2f'),
-            number(None if score is None else score.mean_nees_per_dof(), '.2f'), str(gated))
+        scores[robot] = _Score(
+            nis.total / nis.dof if nis.dof else None,
+            None if score is None else score.mean_nees_per_dof(),
+            rejected[RejectionReason.GATED] + rejected[RejectionReason.MOVED_LANDMARK])
     return scores
+
+
+def _uneven(scores: Mapping[str, _Score], estimates: Estimates) -> Iterator[str]:
+    """Yield that robots differ so much that one scale for all of them cannot fit."""
+    of_all = [
+        f'{kind}_noise_scale' for kind, estimate in estimates.items()
+        if not estimate.scales.keys() - {''} and is_known(estimates, kind)]
+    nis = {
+        robot: score.nis_per_dof for robot, score in scores.items()
+        if score.nis_per_dof is not None}
+    largest, smallest = (
+        choose(nis, key=nis.__getitem__, default='') for choose in (max, min))
+    if of_all and nis and nis[largest] > MAX_UNEVEN * nis[smallest]:
+        yield (
+            f'before, NIS/dof of {largest} is {nis[largest] / nis[smallest]:.1f} times that of'
+            f' {smallest}: {" and ".join(of_all)} of all robots may be too large for some and too'
+            f' small for others; record ground truth, or set larger ones of {largest} by hand')
 
 
 def _error_rows(

@@ -14,7 +14,7 @@ from fej_slam_ros.core.records import Odometry, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.session import simulation
 from helpers.paths import BAGS
-from helpers.records import claiming, odometry, scan, without_ids
+from helpers.records import claiming, odometry, scan, with_scaled_noise, without_ids
 from helpers.ros import raw_record, run_verb, write_bag, write_parameters
 
 #: Covariances of odometry are for half of its noise, those of observations for double.
@@ -137,6 +137,18 @@ def test_the_warning_has_the_factor_that_is_written_within_its_limits(calibrate,
 
     assert scales(places[2])[0] == 0.001
     assert 'odometry_noise_scale 0.001 is written, but' in printed
+
+
+@pytest.mark.parametrize(('wrong', 'is_told'), [(['r2'], True), (['r1', 'r2'], False)])
+def test_one_scale_of_robots_that_differ_is_told(calibrate, wrong, is_told):
+    records = [
+        with_scaled_noise(0.2, r) if isinstance(r, Odometry) and r.robot in wrong else r
+        for r in simulation.parse(
+            {'loops': 2, 'rate': 1, 'landmarks': 30, 'seed': 3}).records()]
+
+    _, printed, _ = calibrate(records, '--from', 'innovations')
+
+    assert ('times that of r1: odometry_noise_scale' in printed) == is_told
 
 
 def test_messages_that_were_recorded_twice_count_once(calibrate, places):
