@@ -211,6 +211,12 @@ def _error_remarks(settings: Settings, found: SystematicErrors) -> Iterator[str]
         yield (
             f'the sensor of {robot} seems to be {x:+.2f} m further ahead and {y:+.2f} m further to'
             ' the left: correct its static transform or sensor_pose, and calibrate again')
+    delays = {robot.name: robot.sensor_delay for robot in settings.robots}
+    for robot, delay in found.sensor_delays.items():
+        yield (
+            f'stamps of the observations of {robot} seem to be {abs(delay):.2f} s too'
+            f' {"late" if delay > 0.0 else "early"}: set {robot}.sensor_delay to'
+            f' {delays[robot] + delay:.2f}, and calibrate again')
     range_, bearing = observation_errors.LIMITS.max_error
     for robot, of_observations in found.observations().items():
         if of_observations.is_at_limit.any():

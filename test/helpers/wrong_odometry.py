@@ -12,13 +12,13 @@ DT, SECONDS, SIGMA = 0.1, 600.0, 0.03
 
 def run(
         scale=(1.0, 1.0), bias=0.0, radius=None, seconds=SECONDS, slip=2e-3,
-        sensor=(0.0, 0.0, 0.0), turn_rate=0.0):
+        sensor=(0.0, 0.0, 0.0), turn_rate=0.0, is_abrupt=False):
     """
     Return odometry with errors, scans and true poses of a robot, as lists of records.
 
     The robot drives on circles of a radius, perhaps infinite; without it, its turn rate varies
-    about a mean. The observations are those from a sensor at a pose (x, y, yaw), as if it were at
-    the origin.
+    about a mean, perhaps abruptly each 1.6 s. The observations are those from a sensor at a pose
+    (x, y, yaw), as if it were at the origin.
 
     """
     rng = np.random.default_rng(1)
@@ -28,7 +28,9 @@ def run(
     for k in range(1, round(seconds / DT)):
         t, stamp = k * DT, round(k * DT * NS)
         speed = 0.5 + 0.3 * np.sin(0.5 * t)
-        turn = turn_rate + 0.4 * np.sin(0.3 * t) + 0.2 * np.sin(0.07 * t)
+        turn = turn_rate + (
+            0.8 * np.sign(np.sin(2.0 * t)) if is_abrupt
+            else 0.4 * np.sin(0.3 * t) + 0.2 * np.sin(0.07 * t))
         u = np.array([speed, 0.0, turn if radius is None else speed / radius]) * DT
         pose = compose(pose, u)
         wrong = np.array([u[0] / scale[0], 0.0, (u[2] + bias * DT) / scale[1]])

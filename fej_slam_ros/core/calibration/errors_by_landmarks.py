@@ -6,7 +6,8 @@ Systematic errors of one robot by the landmarks that it observes again within se
 The motion by corrected odometry leads from one observation of a landmark to the next. The scale of
 distances is that of the sensor, by which the map is made. Bearings are measured from the direction
 of travel by odometry: a bearing bias turns the motion that observations show. The position of the
-sensor, which shows where the robot turns, is fitted beside these errors.
+sensor, which shows where the robot turns, and the delay of its stamps, which shows where speeds
+change, are fitted beside these errors.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from fej_slam_ros.core.calibration.instruments import (
     measured_motion, PairMotion, predicted_motion)
 from fej_slam_ros.core.calibration.observation_errors import given_observations
 from fej_slam_ros.core.calibration.observation_pairs import (
-    observation_pairs, ObservationPairs)
+    MAX_STAMP_ERROR, observation_pairs, ObservationPairs)
 from fej_slam_ros.core.calibration.odometry_errors import given_odometry, scatter
 from fej_slam_ros.core.calibration.shown_errors import (
     blocks, ErrorEstimate, ErrorFit, ErrorLimits, MIN_SIGMAS, shown_errors, suffice)
@@ -39,8 +40,14 @@ LIMITS = ErrorLimits(*map(np.append, odometry_errors.LIMITS, (
 #: and aside; and the largest error that is searched. On circles about one centre, the former is a
 #: bearing bias and the latter a scale of distances.
 POSITION_SIGMA, MAX_POSITION = (0.1, 0.02), 0.5
-#: Smallest error of a coordinate of the position that is reported [m].
-MIN_POSITION = 0.1
+#: Standard deviation of the delay of stamps [s], and the largest one that is searched.
+DELAY_SIGMA, MAX_DELAY = 0.2, MAX_STAMP_ERROR
+#: Smallest error of a coordinate of the position [m], and smallest delay [s], that is reported.
+MIN_POSITION, MIN_DELAY = 0.1, 0.05
+#: Error of the turn scale from which on delays are not told from it.
+MAX_TURN_ERROR = 0.15
+#: Places of the position and the delay among the values that are fitted.
+POSITION, DELAY = slice(4, 6), 6
 #: Maximum number of iterations by instruments, and the step of all values after which they end.
 MAX_ITERATIONS, MAX_STEP = 30, 1e-7
 
@@ -52,6 +59,8 @@ class ErrorsByLandmarks(NamedTuple):
     observations: ErrorEstimate  #: range scale, always that of the settings, and bearing bias
     #: (2,) array, of the sensor, ahead and to the left of the given one [m]; 0 where not shown
     position: Array
+    #: by which the stamps of its observations are too late [s]; 0 where none is shown
+    delay: float
 
 
 def fit_to_landmarks(
@@ -78,7 +87,8 @@ def fit_to_landmarks(
     # On circles, and where odometry is far off, a bias is not told from the position.
     return ErrorsByLandmarks(
         found.part(slice(3)), _with_range_scale(range_scale, bearing),
-        _shown_position(of_all, stamps) * bearing.is_known)
+        _shown_position(of_all, stamps) * bearing.is_known,
+        _shown_delay(of_all, stamps) if abs(found.values[1] - 1.0) < MAX_TURN_ERROR else 0.0)
 
 
 def _with_range_scale(given: float, bearing: ErrorEstimate) -> ErrorEstimate:
@@ -91,8 +101,16 @@ def _with_range_scale(given: float, bearing: ErrorEstimate) -> ErrorEstimate:
 
 def _shown_position(fit: ErrorFit, stamps: Stamps) -> Array:
     """Return the position (2,) of the sensor by a fit of all errors, 0 where none is shown."""
-    x, (_, sigma) = fit.x[-2:], fit.standard_errors(blocks(stamps))
-    return np.where(np.abs(x) > np.maximum(MIN_SIGMAS * sigma[-2:], MIN_POSITION), x, 0.0)
+    x, (_, sigma) = fit.x[POSITION], fit.standard_errors(blocks(stamps))
+    is_shown = np.abs(x) > np.maximum(MIN_SIGMAS * sigma[POSITION], MIN_POSITION)
+    return np.where(is_shown, x, 0.0)
+
+
+def _shown_delay(fit: ErrorFit, stamps: Stamps) -> float:
+    """Return the delay of stamps [s] by a fit of all errors, 0 where none is shown."""
+    delay, (_, sigma) = float(fit.x[DELAY]), fit.standard_errors(blocks(stamps))
+    shown = max(MIN_SIGMAS * float(sigma[DELAY]), MIN_DELAY)
+    return delay if shown < abs(delay) < 0.99 * MAX_DELAY else 0.0
 
 
 def _by_instruments(
@@ -101,14 +119,16 @@ def _by_instruments(
     """
     Return the errors of which some are `free`, others `fixed`, by instrumental variables.
 
-    The position of the sensor follows them. All solve sum Z' w r = 0 for the normalised
-    differences r of pairs, their robust weights w, and the derivatives Z by predicted motion.
+    The position of the sensor and the delay of its stamps follow them. All solve sum Z' w r = 0
+    for the normalised differences r of pairs, their robust weights w, and the derivatives Z by
+    predicted motion.
 
     """
-    free, x = np.append(free, [True, True]), np.append(fixed, np.zeros(2))
-    none, start = np.append(LIMITS.none, np.zeros(2)), x
-    prior = np.diag(np.append(LIMITS.prior_sigma, POSITION_SIGMA) ** -2.0)
-    limits = np.where(free, np.append(LIMITS.max_error, [MAX_POSITION] * 2), 0.0)
+    free, x = np.append(free, [True] * 3), np.append(fixed, np.zeros(3))
+    none, start = np.append(LIMITS.none, np.zeros(3)), x
+    prior = np.diag(np.append(LIMITS.prior_sigma, [*POSITION_SIGMA, DELAY_SIGMA]) ** -2.0)
+    limits = np.where(
+        free, np.append(LIMITS.max_error, [MAX_POSITION, MAX_POSITION, MAX_DELAY]), 0.0)
     for _ in range(MAX_ITERATIONS):
         r = _differences(measured.pairs, x)
         variance = scatter(r) ** 2
@@ -129,10 +149,10 @@ def _by_instruments(
 
 
 def _differences(pairs: ObservationPairs, values: Array) -> Array:
-    """Return the normalised differences (n, 2) of pairs without errors, `values` (6,)."""
-    *of_odometry, bearing_bias, x, y = values
+    """Return the normalised differences (n, 2) of pairs without errors, `values` (7,)."""
+    *of_odometry, bearing_bias, x, y, delay = values
     moved = replace(pairs, odometry=pairs.odometry.without_errors(np.array(of_odometry)))
-    placed = moved.at_odometry(0.0)
+    placed = moved.at_odometry(delay)
     # In the base frame, which headings summed up over the whole run do not turn.
     r: Array = np.einsum(
         'nji,nj->ni', placed.A, placed.residuals(np.array([x, y, -bearing_bias])))

@@ -19,6 +19,8 @@ from fej_slam_ros.core.records import NS
 
 #: Time before, and after, two observations in which velocities predict the motion between them.
 PREDICTION_TIME = 3 * NS // 2
+#: Half the time [ns] over which motions are compared for their derivative by a delay.
+DELAY_STEP = NS // 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,16 +29,19 @@ class PairMotion:
 
     pairs: ObservationPairs
     motion: Array  #: (n, 3) array, in the first base frame, without correction
+    #: (n, 3) array, its derivative by the delay of the stamps [m/s, m/s, rad/s]
+    by_delay: Array
 
     def jacobian(self, values: Array) -> Array:
         """
-        Return the derivatives (n, 2, 6) of the normalised differences in the first base frame.
+        Return the derivatives (n, 2, 7) of the normalised differences in the first base frame.
 
-        By the `values` (6,): the scales of distances and turns, the turn bias, the bearing bias,
-        and the position of the sensor.
+        By the `values` (7,): the scales of distances and turns, the turn bias, the bearing bias,
+        the position of the sensor, and the delay of its stamps.
 
         """
-        scale, turn, bias, bearing_bias, *position = values
+        scale, turn, bias, bearing_bias, x, y, _ = values
+        position = np.array([x, y])
         u, turned, times = self.motion[:, :2], self.motion[:, 2], _seconds(*self.pairs.stamps)
         B = rotations(turn * turned - bias * times)
         z = products(B, self.pairs.z[1] @ rotation(bearing_bias) + position)
@@ -45,15 +50,16 @@ class PairMotion:
         # rotates the difference of both, which is the motion of the sensor.
         by_turn = -perpendicular(z + 0.5 * scale * u)
         by_bearing = -perpendicular(scale * u - by_position @ position)
+        by_delay = turn * by_turn * self.by_delay[:, 2:] - scale * self.by_delay[:, :2]
         J = np.concatenate([np.stack(
             [-u, by_turn * turned[:, None], -by_turn * times[:, None], by_bearing], axis=2),
-            by_position], axis=2)
+            by_position, by_delay[:, :, None]], axis=2)
         return J / self.pairs.sigma[:, None, None]
 
 
 def measured_motion(pairs: ObservationPairs) -> PairMotion:
     """Return the motion between the observations of pairs by odometry."""
-    return PairMotion(pairs, pairs.odometry.motions(*pairs.stamps))
+    return PairMotion(pairs, pairs.odometry.motions(*pairs.stamps), _by_delay(pairs))
 
 
 def predicted_motion(pairs: ObservationPairs) -> PairMotion:
@@ -68,7 +74,13 @@ def predicted_motion(pairs: ObservationPairs) -> PairMotion:
         for interval in ((start, first), (second, end)))
     times = _seconds(start, first) + _seconds(second, end)
     predicted = moved * (_seconds(first, second) / times)[:, None]
-    return PairMotion(pairs, _with_rotated_start(predicted, 0.5))
+    return PairMotion(pairs, _with_rotated_start(predicted, 0.5), _by_delay(pairs))
+
+
+def _by_delay(pairs: ObservationPairs) -> Array:
+    earlier, later = (
+        pairs.odometry.motions(*(pairs.stamps + step)) for step in (-DELAY_STEP, DELAY_STEP))
+    return (earlier - later) / (2.0 * DELAY_STEP / NS)
 
 
 def _with_rotated_start(motions: Array, part: float) -> Array:

@@ -33,6 +33,8 @@ class SystematicErrors:
     observations_by_landmarks: Mapping[str, ErrorEstimate] = field(default_factory=dict)
     #: (2,) arrays, positions of sensors ahead and to the left of the given ones [m]
     sensor_positions: Mapping[str, Array] = field(default_factory=dict)
+    #: by which stamps of observations are too late [s]
+    sensor_delays: Mapping[str, float] = field(default_factory=dict)
     #: of the headings of true poses, with their standard errors [rad]
     headings: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
@@ -116,7 +118,8 @@ def with_errors_by_landmarks(
         observations_by_landmarks={
             robot: fit.observations for robot, fit in by_landmarks.items()},
         sensor_positions={
-            robot: fit.position for robot, fit in by_landmarks.items() if fit.position.any()})
+            robot: fit.position for robot, fit in by_landmarks.items() if fit.position.any()},
+        sensor_delays={robot: fit.delay for robot, fit in by_landmarks.items() if fit.delay})
 
 
 def with_corrected_headings(

@@ -80,10 +80,9 @@ CURES = {
          ' it stood still, check its odometry'),
         ('give y to the left, as in all frames of ROS, correct the roll of a camera, or set'
          ' mirrored_axis of the adapter'),
-        ('correct the static transform of the sensor or its sensor_pose: of a camera, that of its'
-         ' optical frame, z ahead, x right and y down'),
-        ('stamp observations with the time of the scan or image, not with that of its processing,'
-         ' or set sensor_delay of the robot to {:.2f}, and max_delay to more'))}
+        (f'{systematic_errors.POSE_CURE}: of a camera, that of its optical frame, z ahead, x right'
+         ' and y down'),
+        systematic_errors.DELAY_CURE)}
 
 
 def check(

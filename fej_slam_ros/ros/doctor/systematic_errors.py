@@ -17,6 +17,11 @@ from fej_slam_ros.ros.doctor.findings import Finding, warning
 REPORTED = np.array([0.03, 0.03, 0.005])
 #: Smallest bearing bias [rad] that is reported.
 REPORTED_BEARING = 0.017
+#: What the pose of a sensor and its stamps need where they are wrong.
+POSE_CURE = 'correct the static transform of the sensor or its sensor_pose'
+DELAY_CURE = (
+    'stamp observations with the time of the scan or image, not with that of its processing, or'
+    ' set sensor_delay of the robot to {:.2f}, and max_delay to more')
 
 
 def check(
@@ -54,8 +59,13 @@ def check(
             'sensor_pose', f'{robot.name}/landmarks',
             f'while the robot turns, the sensor seems to be {x:+.2f} m further ahead and'
             f' {y:+.2f} m further to the left than it should be',
-            'correct the static transform of the sensor or its sensor_pose',
-            errors.observations.samples)
+            POSE_CURE, errors.observations.samples)
+    if errors.delay:
+        yield warning(
+            'sensor_time', f'{robot.name}/landmarks',
+            f'where speeds change, its stamps seem to be {abs(errors.delay):.2f} s too'
+            f' {"late" if errors.delay > 0.0 else "early"}',
+            DELAY_CURE.format(robot.sensor_delay + errors.delay), errors.observations.samples)
 
 
 def _size(correction: float, above: str, below: str) -> str:

@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """`doctor` names systematic errors of odometry and bearings that landmarks show."""
 
+from dataclasses import replace
+
 import pytest
 
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor import systematic_errors
 from helpers.wrong_odometry import run
@@ -30,6 +33,22 @@ def test_an_error_is_named_with_its_sign_alone(scale, bias, words):
     assert what.count(' too ') == 1
     for word in words:
         assert word in what
+
+
+@pytest.mark.parametrize(('delay', 'words'), [
+    (0.2, ('0.20 s too late', 'sensor_delay of the robot to 0.25')),
+    (-0.2, ('0.20 s too early', 'sensor_delay of the robot to -0.15'))])
+def test_stamps_of_another_time_are_named_with_the_parameter_that_corrects_them(delay, words):
+    odometry, scans, _ = run(seconds=300.0)
+    late = [replace(scan, stamp=scan.stamp + round(delay * NS)) for scan in scans]
+
+    # The stamps have been corrected by 0.05 s before.
+    (finding,) = systematic_errors.check(
+        RobotSettings('r', 1, sensor_delay=0.05), odometry, late)
+
+    assert finding.name == 'sensor_time'
+    for word, text in zip(words, (finding.what, finding.cure)):
+        assert word in text
 
 
 def test_all_errors_are_in_one_finding():
