@@ -23,6 +23,7 @@ from fej_slam_ros.atomic_files import refuse_existing, write_bytes, write_figure
 from fej_slam_ros.cli.arguments import output_folder, require_matplotlib
 from fej_slam_ros.cli.run_picture import draw_run, PICTURE
 from fej_slam_ros.cli.run_table import run_table
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.output_lock import OutputLock
 from fej_slam_ros.ros.files import run_results
 from fej_slam_ros.ros.files.run_files import result_paths
@@ -98,7 +99,7 @@ def _run(sensor: Sensor, output: Path) -> None:
     with TemporaryDirectory() as folder:
         files = Path(folder)
         parameters = _write_parameters(sensor, files, world.robots)
-        seconds = (world.stamps[-1] - world.stamps[0]) * 1e-9
+        seconds = (world.stamps[-1] - world.stamps[0]) / NS
         print(
             f'simulating {len(world.robots)} robots among {len(world.landmarks)} landmarks for'
             f' {seconds:.0f} s at {simulated.speed:g} times real time')

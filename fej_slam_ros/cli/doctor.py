@@ -20,7 +20,7 @@ from pathlib import Path
 
 from fej_slam_ros.atomic_files import write_json
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
-from fej_slam_ros.core.join_failure import counted
+from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters

@@ -20,13 +20,13 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.sentences import reasons_in_words
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.ros.files import bags, run_results
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.parameters import changes_before, RunSettings
-from fej_slam_ros.ros.session.input_faults import reasons_in_words
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.session.rejection_cures import description_and_cure
 from fej_slam_ros.ros.session.session import Session

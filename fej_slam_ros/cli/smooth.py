@@ -25,8 +25,8 @@ from fej_slam_ros.cli.run_table import matched_in_words, run_table
 from fej_slam_ros.cli.smoother import ignored_parameters
 from fej_slam_ros.cli.topic_options import names_in, node_names
 from fej_slam_ros.core.csam.message_sizes import smallest
-from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.messages.common import from_time

@@ -177,7 +177,7 @@ class StampedPose(Protocol):
 
     @property
     def pose(self) -> Array:
-        """Return the pose (3,)."""
+        """Return the pose, a (3,) array."""
 
 
 def pose_at(stamp: int, known: Sequence[StampedPose], longest_gap: int) -> Array | None:

@@ -23,8 +23,3 @@ class JoinFailure:
     def has_outliers(self) -> bool:
         """Return whether the maps may join without the outliers."""
         return self.outlier is not None or bool(self.outlying_landmarks)
-
-
-def counted(count: int, what: str) -> str:
-    """Return a number of things, for a sentence."""
-    return f'{count} {what}' if count == 1 else f'{count} {what}s'

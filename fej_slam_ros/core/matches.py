@@ -5,11 +5,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.records import NO_ID, Observation, ordered, Scan
-from fej_slam_ros.core.settings import NoiseSettings
 
-#: Robot, stamp [ns] and corrected z, as bytes, of an observation without ID.
+#: Robot, stamp [ns] and z, as bytes, of an observation without ID.
 ObservationKey = tuple[str, int, bytes]
 
 
@@ -20,24 +18,17 @@ class Matches:
     ids: Mapping[ObservationKey, int]  #: the IDs of confirmed landmarks
     #: number of observations without ID that were ``matched``, ``new`` and ``doubtful``
     counts: Mapping[str, int]
-    robots: Mapping[str, NoiseSettings]  #: how the observations of each robot were corrected
 
     def with_ids(self, scan: Scan) -> Scan:
-        """
-        Return a scan as received in which all observations have IDs, uncorrected.
-
-        Observations without a match are left out.
-
-        """
+        """Return a scan in which all observations have IDs; those without a match are left out."""
         if all(o.id != NO_ID for o in scan.observations):
             return scan
-        corrected = without_systematic_errors(scan, self.robots[scan.robot]).observations
         observations = (
-            o if o.id != NO_ID else replace(o, id=self.ids.get(observation_key(scan, key), NO_ID))
-            for o, key in zip(scan.observations, corrected))
+            o if o.id != NO_ID else replace(o, id=self.ids.get(observation_key(scan, o), NO_ID))
+            for o in scan.observations)
         return replace(scan, observations=ordered(o for o in observations if o.id != NO_ID))
 
 
 def observation_key(scan: Scan, observation: Observation) -> ObservationKey:
-    """Return the key of an observation, corrected, of a scan."""
+    """Return the key of an observation of a scan."""
     return scan.robot, scan.stamp, observation.z.tobytes()

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterable, Iterator
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.matches import Matches, observation_key, ObservationKey
-from fej_slam_ros.core.records import PriorMap, Record
+from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
+from fej_slam_ros.core.records import PriorMap, Record, Scan
 from fej_slam_ros.core.settings import Settings
 
 #: A record and its time of reception [ns].
@@ -40,15 +41,27 @@ def match(
 
     """
     estimator = Estimator(settings, prior)
+    robots = {robot.name: robot for robot in settings.robots}
+    received: dict[ObservationKey, ObservationKey] = {}
     ids: dict[ObservationKey, int] = {}
-    for step in steps(estimator, records):
+
+    def noted(record: Record) -> Record:
+        """Note which observations become which ones by the correction of systematic errors."""
+        if isinstance(record, Scan):
+            corrected = without_systematic_errors(record, robots[record.robot])
+            received.update(
+                (observation_key(record, after), observation_key(record, before))
+                for before, after in zip(record.observations, corrected.observations))
+        return record
+
+    for step in steps(estimator, ((noted(record), at) for record, at in records)):
         on_step()
         ids |= {
-            observation_key(scan, o): o.id for scan in step.associated for o in scan.observations}
+            received[observation_key(scan, o)]: o.id
+            for scan in step.associated for o in scan.observations}
     manager = estimator.landmark_manager
     confirmed = {id_ for frame_map in estimator.maps() for _, id_ in frame_map.keys}
     return Matches(
         {key: present for key, id_ in ids.items()
          if (present := manager.present_id(id_)) in confirmed},
-        sum(manager.counts.values(), Counter()),
-        {robot.name: robot for robot in settings.robots})
+        sum(manager.counts.values(), Counter()))

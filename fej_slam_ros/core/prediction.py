@@ -18,7 +18,7 @@ from fej_slam_ros.core.geometry import Array, between, compose, perpendicular
 from fej_slam_ros.core.ordering.impossible_motion import UNKNOWN_SPEEDS
 from fej_slam_ros.core.ordering.odometry_increments import (
     checked_increment, without_systematic_errors)
-from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.core.records import is_too_uncertain, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
 #: Maximum number of increments after the settled pose, ten seconds at 200 Hz; bounds memory and
@@ -90,7 +90,7 @@ class PosePredictor:
             k = len(self._noise)
             earlier, later = self._records[k:k + 2]
             motion, self._speeds = checked_increment(earlier, later, self._speeds, settings)
-            if motion.impossible or motion.is_too_uncertain():
+            if motion.impossible or is_too_uncertain(motion.Q):
                 # The next prediction starts from a settled pose at or after the later record.
                 self._drop_before(k + 1)
                 self._poses = later.pose[None]

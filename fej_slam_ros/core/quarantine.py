@@ -19,7 +19,7 @@ from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import Motion, Step
+from fej_slam_ros.core.records import is_too_uncertain, Motion, Step
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 
 
@@ -38,7 +38,7 @@ class Quarantine:
         if motion.impossible:
             self._restart(motion.robot, motion.stamp, motion.impossible)
             self._lost_robots.reset(motion.robot)
-        elif motion.is_too_uncertain():
+        elif is_too_uncertain(motion.Q):
             self._restart(
                 motion.robot, motion.stamp,
                 'the gap in its odometry is too long, or its twist.covariance too large, for a'

@@ -135,10 +135,6 @@ class PosePrior:
     pose: Array  #: (3,) array, [x, y, phi] in ``map``
     P: Array  #: (3, 3) array, covariance of pose, positive definite
 
-    def is_too_uncertain(self) -> bool:
-        """Return whether the pose is too uncertain to linearise."""
-        return is_too_uncertain(self.P)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PriorMap:
@@ -166,10 +162,6 @@ class Motion:
     u: Array  #: (3,) array, displacement [x, y, phi] in the base frame at the begin of the motion
     Q: Array  #: (3, 3) array, covariance of u in the same frame
     impossible: str = ''  #: why the robot cannot have moved so, '' if it can
-
-    def is_too_uncertain(self) -> bool:
-        """Return whether the motion is too uncertain to linearise."""
-        return is_too_uncertain(self.Q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,7 +19,7 @@ from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.data_association.wrong_landmarks import rejected_start
 from fej_slam_ros.core.ekf.state import JointState, Landmark
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
-from fej_slam_ros.core.join_failure import counted, JoinFailure
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.initial_alignment import InitialAlignmentError, InitialScans
 from fej_slam_ros.core.joining.initialization import initialize, START_COVARIANCES
 from fej_slam_ros.core.joining.map_joining import MapJoiner
@@ -32,6 +32,7 @@ from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import (
     is_too_uncertain, LandmarkKey, NO_ID, NS, RendezvousKey, RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.core.settings import Settings
 
 
@@ -159,7 +160,7 @@ class TeamJoiner:
         due = [*self._pose_priors.take(robot, stamp)]
         self._statistics.pose_priors_used[robot] += len(due)
         for prior in due:
-            if prior.is_too_uncertain():
+            if is_too_uncertain(prior.P):
                 self._restart(robot, stamp, 'its pose is not known')
             else:
                 self._groups.place(robot, stamp, prior.pose, prior.P)
@@ -171,7 +172,7 @@ class TeamJoiner:
             group = self._groups.of(robot)
             if group is self._groups.team:
                 reason = RejectionReason.ALREADY_LOCATED
-            elif not prior.is_too_uncertain() and self._joiner.apply_pose_prior(
+            elif not is_too_uncertain(prior.P) and self._joiner.apply_pose_prior(
                 self._groups.team.filter, group.filter, robot, prior.pose, prior.P
             ):
                 self._statistics.pose_priors_used[robot] += 1

@@ -27,9 +27,10 @@ from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.core.matches import Matches
 from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.records import (
-    Motion, NO_ID, Observation, Odometry, PosePrior, Record, RobotObservation, RobotScan, Scan,
-    Step)
+    is_too_uncertain, Motion, NO_ID, Observation, Odometry, PosePrior, Record, RobotObservation,
+    RobotScan, Scan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.sentences import reasons_in_words
 from fej_slam_ros.core.settings import check_anchor, SmootherSettings
 from fej_slam_ros.core.smoothing.incremental import SOLVE_EVERY
 
@@ -221,8 +222,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         rejected = self.statistics.rejection_counts[name]
         if not rejected:
             return 'it sent no odometry'
-        counts = ', '.join(f'{count} {reason.value}' for reason, count in rejected.items())
-        return f'it sent no usable odometry: {counts}'
+        return f'it sent no usable odometry: {reasons_in_words(rejected)}'
 
     def _results(self, steps: Iterator[Step]) -> Iterator[PoseEstimate]:
         """Yield the new poses of some steps; a later call continues after a stop."""
@@ -301,7 +301,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
     def _place(self, prior: PosePrior, observations: tuple[Observation, ...]) -> bool:
         """Restart a robot at a prior, or as lost if it is too uncertain; return if it was used."""
         trajectory = self.trajectories[prior.robot]
-        if prior.is_too_uncertain():
+        if is_too_uncertain(prior.P):
             self.statistics.count_restart(prior.robot, 'its pose is not known')
             trajectory.lose(self._stamp, observations)
             return True

@@ -25,9 +25,10 @@ from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
 from fej_slam_ros.core.geometry import Array, Indices, rigid_fit, rotation, transform, wrap
-from fej_slam_ros.core.join_failure import counted, JoinFailure
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.pieces import pause
 from fej_slam_ros.core.records import LandmarkKey, NO_ID
+from fej_slam_ros.core.sentences import counted
 
 #: Minimum number of landmarks in a hypothesis: five distances agree by chance in one of 10^6 pairs
 #: of maps of twelve landmarks, three in most.

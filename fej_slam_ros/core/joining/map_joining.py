@@ -14,7 +14,7 @@ from copy import deepcopy
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.state import JointState, part_of, Variables
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.join_failure import counted, JoinFailure
+from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
     determine_heading, fit, FrameFit, shared_variables)
@@ -24,6 +24,7 @@ from fej_slam_ros.core.joining.outlying_landmarks import (
 from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.sentences import counted
 
 #: Factor on the largest standard deviation of the heading where the fit leaves out a landmark that
 #: was observed once.

@@ -4,7 +4,8 @@
 The smoother of all measurements that a robot has, its own ones and those of others.
 
 It is the central smoother over the union of all logs, and depends on their measurements only, not
-on when or from which robot they arrived: robots with the same logs have the same result.
+on when or from which robot they arrived: robots with the same logs and parameters have the same
+result.
 """
 
 from collections.abc import Iterable, Mapping

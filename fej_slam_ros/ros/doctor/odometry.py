@@ -9,8 +9,8 @@ from scipy.ndimage import median_filter
 
 from fej_slam_ros.core.definiteness import are_definite
 from fej_slam_ros.core.geometry import Array, Flags, Stamps, wrap_all
-from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor.findings import error, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import OdometrySeries

@@ -11,8 +11,8 @@ import numpy as np
 
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array, rigid_fit, transform
-from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NO_ID
+from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, warning
 from fej_slam_ros.ros.doctor.survey import Survey

@@ -9,10 +9,10 @@ from statistics import median
 import numpy as np
 
 from fej_slam_ros.core.geometry import Stamps
-from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.ordering.coarse_stamps import coarse_step
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.doctor.findings import error, error_if, Finding, seconds, warning
 from fej_slam_ros.ros.doctor.survey import (

@@ -16,6 +16,8 @@ import zlib
 
 from rosbags.rosbag2.storage_mcap import decompress
 
+from fej_slam_ros.core.records import NS
+
 MAGIC = b'\x89MCAP0\r\n'
 MESSAGE, CHUNK, DATA_END = 0x05, 0x06, 0x0F
 #: Begin of a record: opcode, and length of the content [bytes].
@@ -94,7 +96,7 @@ def damaged_chunks(path: Path) -> str:
         first, last, *_ = _chunk_head(file, damaged[0])
     return (
         f'{len(damaged)} of {len(records)} chunks of messages are damaged, the first has those'
-        f' logged from {first * 1e-9:.3f} s to {last * 1e-9:.3f} s')
+        f' logged from {first / NS:.3f} s to {last / NS:.3f} s')
 
 
 def _records(file: BinaryIO) -> Iterator[McapRecord]:

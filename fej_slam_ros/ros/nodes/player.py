@@ -9,6 +9,7 @@ from rclpy.experimental.events_executor import EventsExecutor
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 
+from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import outgoing, RawMessage, serialize
 from fej_slam_ros.ros.nodes.endpoints import check_topic_names, message_class, wait_for_arrival
 from fej_slam_ros.ros.nodes.qos import reliable, STATIC_DEPTH
@@ -129,9 +130,9 @@ class Player:
 
     def _wait_until(self, began: float, first: int, at: int, stopped: Stop) -> None:
         """Wait until the time of a message, publishing the clock."""
-        due = began + (at - first) * 1e-9 / self._rate
+        due = began + (at - first) / NS / self._rate
         while (remaining := due - monotonic()) > 0.0 and not stopped.is_set():
-            self._tick(at - round(remaining * self._rate * 1e9))
+            self._tick(at - round(remaining * self._rate * NS))
             self._spin(min(due, monotonic() + CLOCK_PERIOD), stopped)
         if monotonic() - self._answered_at > CLOCK_PERIOD:
             # Playback cannot keep up and never waits.

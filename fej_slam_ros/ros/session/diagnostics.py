@@ -65,7 +65,7 @@ class Diagnostics(ABC, Generic[ConsumerT]):
 
         """
         incompatible, file_errors = self.conditions.incompatible, self.conditions.file_errors
-        elapsed = 0.0 if not self._reported_at else (now - self._reported_at) * 1e-9
+        elapsed = 0.0 if not self._reported_at else (now - self._reported_at) / NS
         if now:
             self._inputs.health.sample(now)
         statuses = [
@@ -128,10 +128,10 @@ class Diagnostics(ABC, Generic[ConsumerT]):
                         f'{kind}_rate_hz': round(health.flow(name, kind).rate(), 2)
                         for kind in MEASUREMENT_TOPICS},
                     'delays_others_s': round(health.robots[name].lag() / NS, 3),
-                    'delay_s': round((health.robots[name].delay or 0) * 1e-9, 6),
+                    'delay_s': round((health.robots[name].delay or 0) / NS, 6),
                     'released_without': statistics.released_without[name],
                     'located_anew': statistics.relocalized[name],
-                    'longest_late_s': round(statistics.longest_delay[name] * 1e-9, 6),
+                    'longest_late_s': round(statistics.longest_delay[name] / NS, 6),
                     **self._values_of(name),
                     **{reason.value: n for reason, n in statistics.rejection_counts[name].items()},
                 }, hardware=name)

@@ -11,9 +11,9 @@ from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP
-from fej_slam_ros.core.join_failure import counted
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
+from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.session.diagnostics import Diagnostics, percentile_values
 from fej_slam_ros.ros.session.input_faults import Level

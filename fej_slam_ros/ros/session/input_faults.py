@@ -8,7 +8,6 @@ is a fault if it came at a steady rate before, if its publisher has gone, or if 
 observations to get into ``map``.
 """
 
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
@@ -16,6 +15,7 @@ from typing import NamedTuple
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.sentences import reasons_in_words
 from fej_slam_ros.ros.session.input_health import (
     InputHealth, MAX_SPEED_SIGMA, MIN_GATE_SAMPLE, RobotHealth, UNMOVED_MESSAGES,
     VARIANCE_MESSAGES)
@@ -320,11 +320,6 @@ def _stopped(given: RobotInput, kind: str, what: str) -> str:
     return (
         f'{what} stopped {_seconds(given.flow(kind).silence(given.now))} ago'
         + (f': {given.topic(kind)} has no publisher' if is_gone else ''))
-
-
-def reasons_in_words(counts: Counter[RejectionReason]) -> str:
-    """Return how often input was rejected for each reason, the most frequent first."""
-    return ', '.join(f'{count} {reason.value}' for reason, count in counts.most_common())
 
 
 def _seconds(duration: int) -> str:

@@ -12,6 +12,7 @@ from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.messages import MessageRejection
 from fej_slam_ros.core.peers.peer_smoother import PeerSmoother
 from fej_slam_ros.core.peers.rendezvous_window import RendezvousResult
+from fej_slam_ros.core.sentences import reasons_in_words
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.input_faults import Fault, Level
@@ -61,8 +62,8 @@ class PeerDiagnostics(SmootherDiagnostics):
         reach = 'in reach' if in_reach else 'out of reach'
         if not rejected:
             return level, f'{message}; {reach}'
-        reasons = ', '.join(f'{count} {reason.value}' for reason, count in rejected.items())
-        return max(level, Level.WARN), f'{message}; {reach}; rejected: {reasons}'
+        return max(level, Level.WARN), (
+            f'{message}; {reach}; rejected: {reasons_in_words(rejected)}')
 
     def _no_input(self, now: int) -> Fault | None:
         """Return the condition that the own robot sends no odometry, None if it does."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Generic, NamedTuple
 
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.ros.session.input_faults import reasons_in_words
+from fej_slam_ros.core.sentences import reasons_in_words
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogLine, LogSeverity
 from fej_slam_ros.ros.session.outputs import ConsumerT
