@@ -37,7 +37,7 @@ from fej_slam_ros.core.calibration.from_truth import DOF, MAX_RELATIVE_ERROR
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate
 from fej_slam_ros.core.calibration.systematic_errors import SystematicErrors
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
-from fej_slam_ros.core.offline_matching import Received
+from fej_slam_ros.core.records import Received
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError

@@ -19,9 +19,8 @@ from fej_slam_ros.core.calibration.matched_records import (
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_GAIN
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
-from fej_slam_ros.core.offline_matching import Received
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
-from fej_slam_ros.core.records import NS, Odometry, PriorMap, TrueLandmarks
+from fej_slam_ros.core.records import NS, Odometry, PriorMap, Received, TrueLandmarks
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters

@@ -14,11 +14,8 @@ from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.matches import Matches, observation_key, ObservationKey
 from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
-from fej_slam_ros.core.records import PriorMap, Record, Scan
+from fej_slam_ros.core.records import PriorMap, Received, Record, Scan
 from fej_slam_ros.core.settings import Settings
-
-#: A record and its time of reception [ns].
-Received = tuple[Record, int | None]
 
 
 def steps(estimator: Estimator, records: Iterable[Received]) -> Iterator[StepResult]:

@@ -148,6 +148,8 @@ class PriorMap:
 AnyScan = Scan | RobotScan
 AnyObservation = Observation | RobotObservation
 Record = Odometry | AnyScan | TruePose | TrueLandmarks | PosePrior
+#: A record and its time of reception [ns], None if it has none.
+Received = tuple[Record, int | None]
 
 ScanT = TypeVar('ScanT', Scan, RobotScan)
 ObservationT = TypeVar('ObservationT', Observation, RobotObservation)

@@ -24,15 +24,15 @@ from fej_slam_ros.core.calibration.from_truth import NoiseScale, OUTLIER_PROBABI
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
-from fej_slam_ros.core.offline_matching import Received, steps
+from fej_slam_ros.core.offline_matching import steps
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import (
-    MAX_LINEAR_HEADING_SIGMA, Odometry, PriorMap, Record, RobotScan, Scan)
+    MAX_LINEAR_HEADING_SIGMA, Odometry, PriorMap, Received, Record, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import Settings
 
 #: Observer, stamp, and observed robot or landmark ID of an observation.
-ObservationKey = tuple[str, int, str | int | None]
+ObservedKey = tuple[str, int, str | int | None]
 
 #: Filter of which errors of linearisation change innovations least. With FEJ, large corrections of
 #: a heading would count as noise of observations.
@@ -143,7 +143,7 @@ class _Search:
         self._on_run()
         return cost
 
-    def outliers(self, records: Iterable[Received], theta: Array) -> set[ObservationKey]:
+    def outliers(self, records: Iterable[Received], theta: Array) -> set[ObservedKey]:
         """Return the gated observations."""
         _, rejected = run(with_scales(self._gated, self.scales(theta)), records, self._prior)
         self._on_run()
@@ -218,7 +218,7 @@ def _is_definite(information: Array) -> bool:
     return bool(np.isfinite(information).all() and np.linalg.eigvalsh(information)[0] > 0.0)
 
 
-def _without(record: Record, outliers: Collection[ObservationKey]) -> Record:
+def _without(record: Record, outliers: Collection[ObservedKey]) -> Record:
     if isinstance(record, Scan):
         return replace(record, observations=tuple(
             o for o in record.observations if (record.robot, record.stamp, o.id) not in outliers))

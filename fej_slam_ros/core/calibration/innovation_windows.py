@@ -32,9 +32,8 @@ from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
 from fej_slam_ros.core.ekf.state import Robot
 from fej_slam_ros.core.geometry import Array, Indices
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
-from fej_slam_ros.core.offline_matching import Received
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
-from fej_slam_ros.core.records import PointKey, PriorMap
+from fej_slam_ros.core.records import PointKey, PriorMap, Received
 from fej_slam_ros.core.settings import Settings
 
 #: Exponent of q_k by which the factor of kind k changes: since the filter follows the observations

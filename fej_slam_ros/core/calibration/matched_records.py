@@ -11,8 +11,8 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from fej_slam_ros.core.calibration.from_innovations import FILTER
-from fej_slam_ros.core.offline_matching import match, Received
-from fej_slam_ros.core.records import NO_ID, PriorMap, Record, Scan, TrueLandmarks
+from fej_slam_ros.core.offline_matching import match
+from fej_slam_ros.core.records import NO_ID, PriorMap, Received, Record, Scan, TrueLandmarks
 from fej_slam_ros.core.settings import Settings
 
 

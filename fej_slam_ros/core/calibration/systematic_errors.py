@@ -14,8 +14,7 @@ from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_SIGMAS
 from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.calibration.true_motions import true_motions, TrueMotions
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.offline_matching import Received
-from fej_slam_ros.core.records import TruePose
+from fej_slam_ros.core.records import Received, TruePose
 from fej_slam_ros.core.settings import Settings
 
 #: Maximum number of times that errors of headings and of odometry are fitted in turn, and the

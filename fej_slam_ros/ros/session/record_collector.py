@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.record_memory import identity, RecordIdentity
-from fej_slam_ros.core.records import Record, TrueLandmarks, TruePose
+from fej_slam_ros.core.records import Received, Record, TrueLandmarks, TruePose
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.ros.messages import RawMessage
@@ -30,7 +30,7 @@ class RecordCollector:
         self.needs_ids = needs_ids
         self.robots = {robot.name: robot for robot in settings.robots}
         self.statistics = InputStatistics()
-        self.records: list[tuple[Record, int | None]] = []
+        self.records: list[Received] = []
         self._known: set[tuple[str, RecordIdentity]] = set()
 
     def add(self, record: Record, received: int | None = None) -> None:
