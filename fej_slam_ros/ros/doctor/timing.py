@@ -71,7 +71,7 @@ def check(survey: Survey, settings: CommonSettings) -> Iterator[Finding]:
         yield from _gaps(
             f'{name}/odom', times, _shortest_gap(np.diff(times), settings),
             (settings.stale_after + settings.max_delay) * NS,
-            'look for a lossy link or a recorder that drops messages')
+            'look for a lossy link, a recorder that drops messages, a clock that was set forward')
     landmarks = [f'{robot.name}/landmarks' for robot in settings.robots]
     yield from _scans({
         where: survey.observations(where).without_future(settings.future_limit * NS)
