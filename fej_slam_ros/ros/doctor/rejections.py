@@ -32,8 +32,9 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
         what, cure = description_and_cure(topic, reason, settings)
         is_harmless = reason in HARMLESS_REASONS and (reason is Reason.DUPLICATE or count < limit)
         yield error_if(not is_harmless)(
-            reason.value, topic, f'{what}: {count} rejected{_detail(reason, series)}', cure,
-            count, trial.first[topic, reason])
+            reason.value, topic,
+            f'{what}: {count} rejected' + _detail(topic, reason, series, trial), cure, count,
+            trial.first[topic, reason])
     jump = trial.inputs.time_jump_detector.jump
     if jump is not None:
         yield error(
@@ -50,11 +51,13 @@ def _is_usual(reason: Reason, count: int, limit: float, trial: Trial) -> bool:
     return reason in BOUNDARY_REASONS and count <= MAX_BOUNDARY_REJECTIONS and count < limit
 
 
-def _detail(reason: Reason, topic: TopicSeries | None) -> str:
-    if not isinstance(topic, ObservationSeries):
+def _detail(topic: str, reason: Reason, series: TopicSeries | None, trial: Trial) -> str:
+    if reason is Reason.OTHER_ROBOT_STALE:
+        return f', of {most_frequent(trial.stale[topic])}'
+    if not isinstance(series, ObservationSeries):
         return ''
     if reason is Reason.WRONG_FRAME:
-        return f', frames {most_frequent(topic.frames)}'
+        return f', frames {most_frequent(series.frames)}'
     if reason is Reason.UNKNOWN_ROBOT:
-        return f', observed IDs {", ".join(map(str, sorted(topic.id_counts())[:8]))}'
+        return f', observed IDs {", ".join(map(str, sorted(series.id_counts())[:8]))}'
     return ''

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trial run of the estimator over a bag: it rejects what it would reject on the robots."""
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import replace
 
 from fej_slam_ros.core.estimator import Estimator
@@ -45,6 +45,8 @@ class Trial:
         #: Number of rejections by topic and reason, and the stamp of the first of them [ns].
         self.rejected: Counter[tuple[str, Reason]] = Counter()
         self.first: dict[tuple[str, Reason], int] = {}
+        #: Number of rejected observations of each robot whose odometry was missing, by topic.
+        self.stale: defaultdict[str, Counter[str]] = defaultdict(Counter)
         #: Number of observations that failed the gate, by robot and landmark ID.
         self.gate_failures: Counter[tuple[str, int]] = Counter()
         #: The same number of observations of robots, by observer.
@@ -106,6 +108,8 @@ class Trial:
                 key = self._topic(rejection, arrived), rejection.reason
                 self.rejected[key] += 1
                 self.first.setdefault(key, rejection.stamp)
+                if rejection.reason is Reason.OTHER_ROBOT_STALE and rejection.observed:
+                    self.stale[key[0]][rejection.observed] += 1
             elif rejection.reason in FIT_REASONS and rejection.observed is not None:
                 self.failed_of_robots[rejection.robot] += 1
             elif rejection.reason in FIT_REASONS and rejection.id is not None:

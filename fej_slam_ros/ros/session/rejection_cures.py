@@ -72,7 +72,8 @@ CURES: dict[Reason, tuple[str, str]] = {
     Reason.MAP_FULL: (
         'new landmark beyond max_landmarks', 'raise max_landmarks, or check the IDs'),
     Reason.OTHER_ROBOT_STALE: (
-        'observed robot without odometry at that time', 'record its odometry without gaps'),
+        'observed robot without odometry at that time',
+        'record its odometry without gaps, unless it was off'),
     Reason.ALREADY_LOCATED: (
         'set_pose for a robot that joined `map` at the same step', 'give the pose again'),
     Reason.DOES_NOT_FIT: (

@@ -19,7 +19,8 @@ from helpers.records import team
         {*RejectionReason} - {RejectionReason.AFTER_TIME_JUMP, *REASONS_OF_THE_RUN}))
 def test_each_reason_has_a_cure_without_placeholders(reason):
     trial = mock.Mock(
-        rejected=Counter({('r1/landmarks', reason): 1000}), first={('r1/landmarks', reason): 5})
+        rejected=Counter({('r1/landmarks', reason): 1000}), first={('r1/landmarks', reason): 5},
+        stale={'r1/landmarks': Counter(r2=1000)})
     trial.inputs.time_jump_detector.jump = None
 
     finding, = rejections.check(Survey(), trial, team())
@@ -27,3 +28,4 @@ def test_each_reason_has_a_cure_without_placeholders(reason):
     assert (finding.name, finding.where, finding.stamp) == (reason.value, 'r1/landmarks', 5)
     assert finding.cure
     assert '{' not in finding.cure
+    assert ("'r2' (1000)" in finding.what) == (reason is RejectionReason.OTHER_ROBOT_STALE)
