@@ -11,8 +11,9 @@ ground truth, the former by the map that robots share, the latter by the directi
 The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of
 observations; a robot with enough data has its own scale. The other scales are those at which the
-innovations of the estimator are consistent over 5 s, the same for all robots. Gross errors, beyond
-a chi-square probability of 0.999999, are ignored.
+innovations of the estimator are consistent over 5 s; they are the same for all robots, but for
+odometry of robots that differ from the others. Gross errors, beyond a chi-square probability of
+0.999999, are ignored.
 
 Observations without IDs are matched by the estimator, again and again with the parameters found.
 """
@@ -28,12 +29,14 @@ from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.calibration_run import (
-    calibrated, Calibration, Estimates, INNOVATIONS, is_known, parsed, TRUTH, within_limits)
+    calibrated, Calibration, Estimates, INNOVATIONS, is_known, MAX_UNEVEN, parsed, TRUTH,
+    within_limits)
 from fej_slam_ros.cli.run_table import matched_in_words
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration import observation_errors, odometry_errors
 from fej_slam_ros.core.calibration.from_innovations import counts, run as run_estimator
-from fej_slam_ros.core.calibration.from_truth import DOF, MAX_RELATIVE_ERROR
+from fej_slam_ros.core.calibration.from_truth import DOF
+from fej_slam_ros.core.calibration.robot_scales import MAX_RELATIVE_ERROR
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate
 from fej_slam_ros.core.calibration.systematic_errors import SystematicErrors
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
@@ -60,8 +63,6 @@ OBSERVATION_HEADINGS = (
 
 #: Factor on noise beyond which something else is probably wrong.
 MAX_USUAL = 5.0
-#: Ratio of the NIS of two robots above which they need scales of their own.
-MAX_UNEVEN = 1.4
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -158,9 +159,9 @@ def _scores(
 
 def _uneven(scores: Mapping[str, _Score], estimates: Estimates) -> Iterator[str]:
     """Yield that robots differ so much that one scale for all of them cannot fit."""
+    has_own = any(estimate.scales.keys() - {''} for estimate in estimates.values())
     of_all = [
-        f'{kind}_noise_scale' for kind, estimate in estimates.items()
-        if not estimate.scales.keys() - {''} and is_known(estimates, kind)]
+        f'{kind}_noise_scale' for kind in estimates if is_known(estimates, kind) and not has_own]
     nis = {
         robot: score.nis_per_dof for robot, score in scores.items()
         if score.nis_per_dof is not None}

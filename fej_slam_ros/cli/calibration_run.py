@@ -10,12 +10,14 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from fej_slam_ros.core.calibration.from_innovations import (
-    comparable, counts, log_likelihood, most_likely_scales, with_scans_apart)
+    comparable, counts, log_likelihood, most_likely_scales, most_likely_scales_of_robots, run,
+    with_scales, with_scans_apart)
 from fej_slam_ros.core.calibration.from_truth import (
-    DOF, ERROR_WINDOW, Errors, noise_scales, NoiseScale, normalized_errors)
+    DOF, ERROR_WINDOW, Errors, noise_scales, normalized_errors)
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
+from fej_slam_ros.core.calibration.robot_scales import NoiseScale
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_GAIN
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
@@ -30,6 +32,8 @@ from fej_slam_ros.ros.files.prior_map import prior_map
 #: logarithm of a factor below which they are not matched again.
 MAX_MATCHINGS, MAX_LOG_CHANGE = 8, 0.05
 
+#: Ratio of the NIS of two robots above which they need scales of their own.
+MAX_UNEVEN = 1.4
 #: Sources of scales: without ground truth, innovations over some seconds and, of what these do not
 #: determine, single ones.
 TRUTH, INNOVATION_WINDOWS, INNOVATIONS = (
@@ -204,8 +208,10 @@ def _with_innovations(
             _estimation(values, estimates), with_scans_apart(records, ERROR_WINDOW), kinds, prior,
             on_run)
         if found['odometry'].is_known():
-            estimates = {**estimates, 'odometry': _over_windows(found['odometry'])}
             start = {kind: scale.scale for kind, scale in found.items()}
+            estimates = {**estimates, 'odometry': _of_robots(
+                found['odometry'], with_scales(_estimation(values, estimates), start), records,
+                prior, on_run)}
     observed = {kind: start[kind] for kind in kinds if kind != 'odometry'}
     if is_known(estimates, 'odometry') and observed:
         found = scales_over_windows(
@@ -219,6 +225,22 @@ def _with_innovations(
         estimates = {**estimates, **{
             kind: ScaleEstimate(INNOVATIONS, {'': scale}) for kind, scale in found.items()}}
     return estimates
+
+
+def _of_robots(
+    of_all: NoiseScale, settings: Settings, records: Sequence[Received],
+    prior: PriorMap | None, on_run: Callable[[], object],
+) -> ScaleEstimate:
+    """Return the scale of odometry, and those of robots that differ by their innovations."""
+    estimator, _ = run(comparable(settings), records, prior)
+    on_run()
+    nis = [nis.total / nis.dof for nis in estimator.innovations.nis.values() if nis.dof]
+    if max(nis, default=0.0) <= MAX_UNEVEN * min(nis, default=0.0):
+        return _over_windows(of_all)
+    own = most_likely_scales_of_robots(
+        settings, with_scans_apart(records, ERROR_WINDOW), 'odometry', prior, on_run)
+    # A scale of all by one search is better than one combined of many.
+    return ScaleEstimate(INNOVATION_WINDOWS, own) if len(own) > 1 else _over_windows(of_all)
 
 
 def _estimation(values: Mapping[str, object], estimates: Estimates) -> Settings:

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from fej_slam_ros.core.calibration.from_truth import NoiseScale, OUTLIER_PROBABILITY
+from fej_slam_ros.core.calibration.from_truth import OUTLIER_PROBABILITY
+from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
@@ -42,6 +43,11 @@ FILTER = 'invariant'
 FIRST_STEP, LAST_STEP = math.log(2.0), 0.1
 #: Tolerance of the log-likelihood: its decrease at one standard error from the maximum.
 LAST_DIFFERENCE = 0.5
+#: Maximum number of steps of a search for each robot, and the change of all factors' logarithms
+#: after which it ends.
+MAX_SEPARATE_STEPS, MAX_LAST_CHANGE = 10, 0.05
+#: Information about a factor that no innovation depends on.
+MIN_INFORMATION = 1e-6
 #: Maximum number of further searches, each without the outliers of the previous one.
 MAX_OUTLIER_ROUNDS = 4
 
@@ -106,46 +112,99 @@ def most_likely_scales(
     on_run : called after each run of an estimator
 
     """
-    search = _Search(settings, kinds, prior, on_run)
-    theta, information = _minimum(partial(search.cost, records), np.zeros(len(kinds)), FIRST_STEP)
-    for _ in range(MAX_OUTLIER_ROUNDS):
-        outliers = search.outliers(records, theta)
-        if not outliers:
-            break
-        records = [(_without(record, outliers), received) for record, received in records]
-        theta, information = _minimum(partial(search.cost, records), theta, LAST_STEP)
+    def scales(theta: Array) -> dict[str, float]:
+        return dict(zip(kinds, np.exp(theta).tolist()))
+
+    search = _Search(
+        settings, lambda given, theta: with_scales(given, scales(theta)), prior, on_run)
+    theta, information, records = search.most_likely(records, np.zeros(len(kinds)), _minimum)
     samples, errors = counts(records), _standard_errors(information)
     return {
         kind: NoiseScale(scale, error, samples[kind])
-        for (kind, scale), error in zip(search.scales(theta).items(), errors.tolist())}
+        for (kind, scale), error in zip(scales(theta).items(), errors.tolist())}
+
+
+def most_likely_scales_of_robots(
+    settings: Settings, records: Sequence[Received], kind: str,
+    prior: PriorMap | None = None, on_run: Callable[[], object] = lambda: None,
+) -> dict[str, NoiseScale]:
+    """
+    Return the maximum-likelihood factor of one kind of noise under '', and those of other robots.
+
+    These differ from all others, whose factor is then that under ''. The search begins at the
+    scales of the settings; `samples` are of all robots. The parameters are those of
+    `most_likely_scales`.
+
+    """
+    name = f'{kind}_noise_scale'
+
+    def scaled(given: Settings, theta: Array) -> Settings:
+        return replace(given, robots=tuple(
+            replace(robot, **{name: scale})
+            for robot, scale in zip(given.robots, np.exp(theta).tolist())))
+
+    search = _Search(settings, scaled, prior, on_run)
+    start = np.log([getattr(robot, name) for robot in settings.robots])
+    theta, information, records = search.most_likely(records, start, _separate_minimum)
+    samples, errors = counts(records), _standard_errors(information)
+    own = {
+        robot.name: NoiseScale(scale, error, samples[kind])
+        for robot, scale, error in zip(settings.robots, np.exp(theta).tolist(), errors.tolist())}
+    different = different_robots(own, partial(_combined, own))
+    return {'': _combined(own, {*different})} | {robot: own[robot] for robot in different}
+
+
+def _combined(own: Mapping[str, NoiseScale], excluded: set[str]) -> NoiseScale:
+    """Return the factor of all robots but the excluded ones, by theirs."""
+    rest = [scale for robot, scale in own.items() if robot not in excluded]
+    weights = np.array([scale.relative_error for scale in rest]) ** -2.0
+    if not weights.sum():
+        return NoiseScale(1.0, math.inf, 0)
+    log_scale = weights @ np.log([scale.scale for scale in rest]) / weights.sum()
+    return NoiseScale(
+        math.exp(log_scale), float(weights.sum()) ** -0.5, rest[0].samples)
+
+
+#: Searches the minimum of a function from a point (d,), with a first step, and returns it with the
+#: Hessian (d, d) there.
+Minimize = Callable[[Callable[[Array], float], Array, float], tuple[Array, Array]]
 
 
 class _Search:
-    """Runs of an estimator whose noise scales of some kinds are exp(theta)."""
+    """Runs of an estimator whose settings are `scaled` by the logarithms theta of factors."""
 
     def __init__(
-        self, settings: Settings, kinds: Sequence[str], prior: PriorMap | None,
-        on_run: Callable[[], object],
+        self, settings: Settings, scaled: Callable[[Settings, Array], Settings],
+        prior: PriorMap | None, on_run: Callable[[], object],
     ) -> None:
         self._ungated = comparable(settings)
         self._gated = replace(self._ungated, gate_probability=1.0 - OUTLIER_PROBABILITY)
-        self._kinds, self._prior, self._on_run = kinds, prior, on_run
+        self._scaled, self._prior, self._on_run = scaled, prior, on_run
 
-    def scales(self, theta: Array) -> dict[str, float]:
-        return dict(zip(self._kinds, np.exp(theta).tolist()))
+    def most_likely(
+        self, records: Sequence[Received], theta: Array, minimize: Minimize
+    ) -> tuple[Array, Array, Sequence[Received]]:
+        """Return the most likely theta (d,), the information, and the records without outliers."""
+        theta, information = minimize(partial(self._cost, records), theta, FIRST_STEP)
+        for _ in range(MAX_OUTLIER_ROUNDS):
+            outliers = self._outliers(records, theta)
+            if not outliers:
+                break
+            records = [(_without(record, outliers), received) for record, received in records]
+            theta, information = minimize(partial(self._cost, records), theta, LAST_STEP)
+        return theta, information, records
 
-    def cost(self, records: Iterable[Received], theta: Array) -> float:
+    def _cost(self, records: Iterable[Received], theta: Array) -> float:
         """Return the negative log-likelihood."""
         if np.abs(theta).max() > math.log(MAX_NOISE_SCALE):
             return math.inf
-        cost = -log_likelihood(
-            with_scales(self._ungated, self.scales(theta)), records, self._prior)
+        cost = -log_likelihood(self._scaled(self._ungated, theta), records, self._prior)
         self._on_run()
         return cost
 
-    def outliers(self, records: Iterable[Received], theta: Array) -> set[ObservedKey]:
+    def _outliers(self, records: Iterable[Received], theta: Array) -> set[ObservedKey]:
         """Return the gated observations."""
-        _, rejected = run(with_scales(self._gated, self.scales(theta)), records, self._prior)
+        _, rejected = run(self._scaled(self._gated, theta), records, self._prior)
         self._on_run()
         return {
             (r.robot, r.stamp, r.observed or r.id) for r in rejected
@@ -204,6 +263,28 @@ def _minimum(f: Callable[[Array], float], theta: Array, step: float) -> tuple[Ar
         return found.x, curvature
     newton = np.linalg.solve(curvature, (above - below) / (2.0 * LAST_STEP))
     return found.x - np.clip(newton, -LAST_STEP, LAST_STEP), curvature
+
+
+def _separate_minimum(
+    f: Callable[[Array], float], theta: Array, step: float
+) -> tuple[Array, Array]:
+    """Return the minimum as `_minimum`, of a function whose variables hardly depend on others."""
+    for _ in range(MAX_SEPARATE_STEPS):
+        above, below = (
+            np.array([f(theta + sign * e) for e in LAST_STEP * np.eye(len(theta))])
+            for sign in (1.0, -1.0))
+        middle = f(theta)
+        if not np.isfinite([middle, *above, *below]).all():
+            return theta, np.diag(np.full(len(theta), math.inf))
+        curvature = (above + below - 2.0 * middle) / LAST_STEP ** 2
+        slope = (above - below) / (2.0 * LAST_STEP)
+        # Far from the minimum the curvature may have the wrong sign.
+        change = np.clip(-slope / np.maximum(np.abs(curvature), LAST_DIFFERENCE), -step, step)
+        theta = theta + change
+        if np.abs(change).max() < MAX_LAST_CHANGE:
+            break
+    # Variables that change nothing are not known, whatever the others are.
+    return theta, np.diag(np.maximum(curvature, MIN_INFORMATION))
 
 
 def _standard_errors(information: Array) -> Array:

@@ -12,7 +12,6 @@ A landmark whose true position is not recorded is where it is observed on averag
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import chain, compress, pairwise
 import math
 from typing import NamedTuple
@@ -21,6 +20,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
 from fej_slam_ros.core.calibration.team_records import NearTruth, TeamRecords
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.definiteness import is_definite
@@ -45,24 +45,8 @@ MIN_POSITION_WINDOWS = 5
 #: tails of real noise, and so give factors that are too small.
 OUTLIER_PROBABILITY = 1e-6
 
-#: Largest standard error of a usable factor, and of one of a robot like the others, relative.
-MAX_RELATIVE_ERROR = 0.15
+#: Largest standard error of a usable factor of a robot like the others, relative.
 MAX_OWN_ERROR = 0.05
-#: Number of standard errors from which on a robot's factor differs from that of the others.
-DIFFERENT = 4.0
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseScale:
-    """Factor on stated standard deviations."""
-
-    scale: float  #: the factor
-    relative_error: float  #: standard error of its logarithm, for independent errors
-    samples: int  #: number of errors or innovations
-
-    def is_known(self) -> bool:
-        """Return whether there was enough data."""
-        return self.relative_error <= MAX_RELATIVE_ERROR
 
 
 #: Normalised errors squared, e^T P^-1 e, of one kind by robot.
@@ -105,27 +89,10 @@ def noise_scales(errors: Errors, dof: int) -> dict[str, NoiseScale]:
 
     """
     own = {robot: noise_scale(squared, dof) for robot, squared in errors.items() if squared}
-    different: set[str] = set()
-    while (robot := _most_different(errors, own, different, dof)) is not None:
-        different.add(robot)
-    return {'': _without(errors, different, dof)} | {
+    different = different_robots(own, lambda excluded: _without(errors, excluded, dof))
+    return {'': _without(errors, {*different}, dof)} | {
         robot: found for robot, found in own.items()
         if robot in different or found.relative_error <= MAX_OWN_ERROR}
-
-
-def _most_different(
-    errors: Errors, own: Mapping[str, NoiseScale], excluded: set[str], dof: int
-) -> str | None:
-    """Return the robot whose known factor differs most from that of the others, None if none."""
-    rest = own.keys() - excluded
-    distances = {}
-    for robot in sorted(rest if len(rest) > 1 else ()):
-        others = _without(errors, excluded | {robot}, dof)
-        if own[robot].is_known() and others.is_known():
-            distances[robot] = abs(math.log(own[robot].scale / others.scale)) / math.hypot(
-                own[robot].relative_error, others.relative_error)
-    different = [robot for robot, distance in distances.items() if distance > DIFFERENT]
-    return max(different, key=distances.__getitem__, default=None)
 
 
 def _without(errors: Errors, excluded: set[str], dof: int) -> NoiseScale:

@@ -11,12 +11,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from fej_slam_ros.core.calibration.from_innovations import (
-    counts, most_likely_scales, run, with_scales)
+    counts, most_likely_scales, most_likely_scales_of_robots, run, with_scales)
 from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.estimator import BrokenEstimateError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from helpers.calibration import error, received, simulated
-from helpers.records import claiming, odometry, scan, team
+from helpers.records import claiming, odometry, scan, team, with_scaled_noise
 
 
 @pytest.mark.parametrize('seed', [1, 2, 3])
@@ -28,6 +28,22 @@ def test_factors_equal_those_of_the_simulation(seed):
     assert error(found['odometry'], 2.0) < 4.0
     assert error(found['landmark'], 0.5) < 4.0
     assert all(scale.is_known() for scale in found.values())
+
+
+@pytest.mark.parametrize(('factors', 'expected'), [
+    ((1.0, 1.0), {'': 1.0}), ((0.5, 0.5), {'': 2.0}),
+    # Of two that differ, the first has its own.
+    ((1.0, 0.2), {'': 5.0, 'r1': 1.0})])
+def test_robots_that_differ_have_factors_of_their_own(factors, expected):
+    of_robots = dict(zip(('r1', 'r2'), factors))
+    records = received(
+        with_scaled_noise(of_robots[r.robot], r) if isinstance(r, Odometry) else r
+        for r in simulated(2))
+
+    found = most_likely_scales_of_robots(team(), records, 'odometry')
+
+    assert found.keys() == expected.keys()
+    assert all(error(found[robot], scale) < 4.0 for robot, scale in expected.items())
 
 
 def test_standard_deviations_far_too_small_have_their_factor_too():
