@@ -252,7 +252,7 @@ def test_a_killed_worker_changes_no_number(reproduce, tmp_path):
     assert reproduce(*runs)[0] == 0
     process = OnTerminal('reproduce', *runs, '--output', tmp_path / 'killed', stream='stderr')
     try:
-        for count in 4, 8:
+        for count in 2, 6:
             process.until(lambda count=count: re.search(
                 rf' (?:[{count}-9]|1\d)/24 ', process.shown()))
             workers = [pid for pid in process.members() if b'spawn_main' in command_of(pid)]
