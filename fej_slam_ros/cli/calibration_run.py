@@ -204,13 +204,13 @@ def _with_innovations(
     """Return estimates with those of other kinds of noise, over some seconds if possible."""
     start = dict.fromkeys(kinds, 1.0)
     if 'odometry' in kinds:
+        apart = with_scans_apart(records, ERROR_WINDOW)
         found = most_likely_scales(
-            _estimation(values, estimates), with_scans_apart(records, ERROR_WINDOW), kinds, prior,
-            on_run)
+            _estimation(values, estimates), apart, kinds, prior, on_run)
         if found['odometry'].is_known():
             start = {kind: scale.scale for kind, scale in found.items()}
             estimates = {**estimates, 'odometry': _of_robots(
-                found['odometry'], with_scales(_estimation(values, estimates), start), records,
+                found['odometry'], with_scales(_estimation(values, estimates), start), apart,
                 prior, on_run)}
     observed = {kind: start[kind] for kind in kinds if kind != 'odometry'}
     if is_known(estimates, 'odometry') and observed:
@@ -231,14 +231,13 @@ def _of_robots(
     of_all: NoiseScale, settings: Settings, records: Sequence[Received],
     prior: PriorMap | None, on_run: Callable[[], object],
 ) -> ScaleEstimate:
-    """Return the scale of odometry, and those of robots that differ by their innovations."""
+    """Return the scale of odometry, and those of robots that differ, by scans far apart."""
     estimator, _ = run(comparable(settings), records, prior)
     on_run()
     nis = [nis.total / nis.dof for nis in estimator.innovations.nis.values() if nis.dof]
     if max(nis, default=0.0) <= MAX_UNEVEN * min(nis, default=0.0):
         return _over_windows(of_all)
-    own = most_likely_scales_of_robots(
-        settings, with_scans_apart(records, ERROR_WINDOW), 'odometry', prior, on_run)
+    own = most_likely_scales_of_robots(settings, records, 'odometry', prior, on_run)
     # A scale of all by one search is better than one combined of many.
     return ScaleEstimate(INNOVATION_WINDOWS, own) if len(own) > 1 else _over_windows(of_all)
 
