@@ -202,13 +202,7 @@ class TeamJoiner:
         """Join another group to a group; on failure, remove the outliers."""
         failure = self._join_by_shared(group, other)
         if failure is not None and not failure.has_outliers():
-            without_id = [count_without_id(each.state) for each in (group, other)]
-            if all(without_id):
-                failure = self._join_by_constellation(group, other)
-            elif any(without_id):
-                failure = JoinFailure(
-                    f'{failure.reason}; {counted(sum(without_id), "landmark")} without ID,'
-                    ' compared with others without ID only')
+            failure = self._join_without_ids(group, other, failure)
         if failure is None:
             self._groups.merge(group, other)
             self._landmark_manager.merge(group.filter, other.owner)
@@ -219,6 +213,19 @@ class TeamJoiner:
             for state in (group.state, other.state):
                 for key in failure.outlying_landmarks:
                     self._remove_outlying(state, state.landmarks[key])
+        return failure
+
+    def _join_without_ids(
+        self, group: FrameGroup, other: FrameGroup, failure: JoinFailure
+    ) -> JoinFailure | None:
+        """Join another group by landmarks without ID, where shared ones have failed to do so."""
+        without_id = [count_without_id(each.state) for each in (group, other)]
+        if all(without_id):
+            return self._join_by_constellation(group, other)
+        if any(without_id):
+            return JoinFailure(
+                f'{failure.reason}; {counted(sum(without_id), "landmark")} without ID, compared'
+                ' with others without ID only')
         return failure
 
     def _join_by_shared(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:

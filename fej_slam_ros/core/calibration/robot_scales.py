@@ -35,15 +35,7 @@ class NoiseScale:
 def different_robots(
     own: Mapping[str, NoiseScale], without: Callable[[set[str]], NoiseScale]
 ) -> list[str]:
-    """
-    Return the robots whose factors differ from that of the others, by names.
-
-    Parameters
-    ----------
-    own : factor of each robot
-    without : returns the factor of all robots but some
-
-    """
+    """Return the robots whose own factors differ from that `without` them, of all but some."""
     found: set[str] = set()
     while True:
         rest = sorted(own.keys() - found)

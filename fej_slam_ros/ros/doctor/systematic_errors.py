@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from fej_slam_ros.core.calibration.errors_by_landmarks import fit_to_landmarks
+from fej_slam_ros.core.calibration.errors_by_landmarks import (
+    ErrorsByLandmarks, fit_to_landmarks)
 from fej_slam_ros.core.calibration.odometry_errors import given_odometry
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
@@ -29,8 +30,13 @@ def check(
 ) -> Iterator[Finding]:
     """Yield the errors that `calibrate` would correct; odometry and scans are by stamps."""
     errors = fit_to_landmarks(odometry, scans, robot)
-    if errors is None:
-        return
+    if errors is not None:
+        yield from _of_odometry(robot, errors)
+        yield from _of_bearings(robot, errors)
+        yield from _of_sensor(robot, errors)
+
+
+def _of_odometry(robot: RobotSettings, errors: ErrorsByLandmarks) -> Iterator[Finding]:
     change = errors.odometry.values - given_odometry(robot)
     is_wrong = errors.odometry.is_known & (np.abs(change) > REPORTED)
     distance, turn, bias = change
@@ -45,6 +51,9 @@ def check(
             + ', '.join(text for text, wrong in zip(texts, is_wrong) if wrong),
             'run fej_slam calibrate; check the radius of wheels, their distance, the units of'
             ' ranges and the pitch of a camera', errors.odometry.samples)
+
+
+def _of_bearings(robot: RobotSettings, errors: ErrorsByLandmarks) -> Iterator[Finding]:
     turned = errors.observations.values[1] - robot.observation_bearing_bias
     if errors.observations.is_known[1] and abs(turned) > REPORTED_BEARING:
         yield warning(
@@ -53,19 +62,23 @@ def check(
             f' {"left" if turned > 0.0 else "right"}',
             'run fej_slam calibrate; check the yaw of the sensor',
             errors.observations.samples)
+
+
+def _of_sensor(robot: RobotSettings, errors: ErrorsByLandmarks) -> Iterator[Finding]:
+    """Yield where the sensor is, and when it measures, by its observations."""
+    where, count = f'{robot.name}/landmarks', errors.observations.samples
     if errors.position.any():
         x, y = errors.position
         yield warning(
-            'sensor_pose', f'{robot.name}/landmarks',
+            'sensor_pose', where,
             f'while the robot turns, the sensor seems to be {x:+.2f} m further ahead and'
-            f' {y:+.2f} m further to the left than it should be',
-            POSE_CURE, errors.observations.samples)
+            f' {y:+.2f} m further to the left than it should be', POSE_CURE, count)
     if errors.delay:
         yield warning(
-            'sensor_time', f'{robot.name}/landmarks',
+            'sensor_time', where,
             f'where speeds change, its stamps seem to be {abs(errors.delay):.2f} s too'
             f' {"late" if errors.delay > 0.0 else "early"}',
-            DELAY_CURE.format(robot.sensor_delay + errors.delay), errors.observations.samples)
+            DELAY_CURE.format(robot.sensor_delay + errors.delay), count)
 
 
 def _size(correction: float, above: str, below: str) -> str:

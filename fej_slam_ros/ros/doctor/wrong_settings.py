@@ -15,7 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, compose
 from fej_slam_ros.core.ordering.impossible_motion import AT_ORIGIN
-from fej_slam_ros.core.settings import Settings, Triple
+from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.ros.doctor import team
 from fej_slam_ros.ros.doctor.findings import error, Finding
 from fej_slam_ros.ros.doctor.survey import Survey
@@ -69,27 +69,36 @@ def _other_settings(given: Settings, survey: Survey) -> Iterator[tuple[Finding, 
 
 def _late_starts(given: Settings, survey: Survey) -> Iterator[tuple[Finding, Settings]]:
     """Yield start poses at the origins of odometry of robots that had moved before the bag."""
-    anchor_pose, robots = given.anchor_pose, {robot.name: robot for robot in given.robots}
-    cures: dict[str, str] = {}
-    for name, robot in robots.items():
-        _, poses = survey.odometry(name).ordered()
-        if not len(poses) or not (np.abs(poses[0]) > [AT_ORIGIN[0], *AT_ORIGIN]).any():
-            continue
-        if name == given.anchor:
-            anchor_pose = _moved(given.anchor_pose, poses[0])
-            cures[name] = f'anchor_pose to {[*anchor_pose]}'
-        elif robot.start_pose is not None:
-            start = _moved(robot.start_pose, poses[0])
-            robots[name] = replace(robot, start_pose=start)
-            cures[name] = f'{name}.start_pose to {[*start]}'
+    others, cures = given, dict[str, str]()
+    for robot in given.robots:
+        _, poses = survey.odometry(robot.name).ordered()
+        if len(poses) and (np.abs(poses[0]) > [AT_ORIGIN[0], *AT_ORIGIN]).any():
+            others, cure = _with_later_start(others, robot, poses[0])
+            cures |= cure
     if cures:
         yield error(
             'late_start', ', '.join(cures),
             'the first odometry recorded is not at its origin, and start poses hold there: the'
             ' observations fit only if they are those of the origin',
             'record before the robots drive, or, for this bag only, set '
-            + ', '.join(cures.values())
-        ), replace(given, anchor_pose=anchor_pose, robots=tuple(robots.values()))
+            + ', '.join(cures.values())), others
+
+
+def _with_later_start(
+    given: Settings, robot: RobotSettings, motion: Array
+) -> tuple[Settings, dict[str, str]]:
+    """Return settings with the start of a robot after a motion (3,), and the cure by robot."""
+    if robot.name == given.anchor:
+        start = _moved(given.anchor_pose, motion)
+        return replace(given, anchor_pose=start), {robot.name: f'anchor_pose to {[*start]}'}
+    if robot.start_pose is None:
+        return given, {}
+    start = _moved(robot.start_pose, motion)
+    robots = (
+        replace(other, start_pose=start) if other.name == robot.name else other
+        for other in given.robots)
+    return replace(given, robots=tuple(robots)), {
+        robot.name: f'{robot.name}.start_pose to {[*start]}'}
 
 
 def _moved(start: Triple, motion: Array) -> Triple:
