@@ -109,7 +109,7 @@ def most_likely_scales(
     records : observations must have IDs, as likelihoods of different matches are not comparable
     kinds : kinds of noise, as in the parameters ``<kind>_noise_scale``
     prior : map known before the run
-    on_run : called after each run of an estimator
+    on_run : called with each run of an estimator
 
     """
     def scales(theta: Array) -> dict[str, float]:
@@ -198,17 +198,15 @@ class _Search:
         """Return the negative log-likelihood."""
         if np.abs(theta).max() > math.log(MAX_NOISE_SCALE):
             return math.inf
-        cost = -log_likelihood(self._scaled(self._ungated, theta), records, self._prior)
         self._on_run()
-        return cost
+        return -log_likelihood(self._scaled(self._ungated, theta), records, self._prior)
 
     def _outliers(self, records: Iterable[Received], theta: Array) -> set[ObservedKey]:
         """Return the gated observations."""
         _, rejected = run(self._scaled(self._gated, theta), records, self._prior)
         self._on_run()
-        return {
-            (r.robot, r.stamp, r.observed or r.id) for r in rejected
-            if r.reason is RejectionReason.GATED}
+        gated = (r for r in rejected if r.reason is RejectionReason.GATED)
+        return {(r.robot, r.stamp, r.observed or r.id) for r in gated}
 
 
 def counts(records: Iterable[Received]) -> Counter[str]:
