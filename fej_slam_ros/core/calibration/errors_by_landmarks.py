@@ -26,7 +26,7 @@ from fej_slam_ros.core.calibration.observation_pairs import (
 from fej_slam_ros.core.calibration.odometry_errors import given_odometry, scatter
 from fej_slam_ros.core.calibration.shown_errors import (
     blocks, ErrorEstimate, ErrorFit, ErrorLimits, MIN_SIGMAS, shown_errors, suffice)
-from fej_slam_ros.core.geometry import Array, Flags, Stamps
+from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
 from fej_slam_ros.core.records import NS, Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
@@ -84,11 +84,12 @@ def fit_to_landmarks(
     found, of_all = shown_errors(
         fitted, LIMITS, stamps, np.append(given_odometry(robot), bearing_bias))
     bearing = found.part(slice(3, 4))
+    _, sigma = of_all.standard_errors(blocks(stamps))
     # On circles, and where odometry is far off, a bias is not told from the position.
     return ErrorsByLandmarks(
         found.part(slice(3)), _with_range_scale(range_scale, bearing),
-        _shown_position(of_all, stamps) * bearing.is_known,
-        _shown_delay(of_all, stamps) if abs(found.values[1] - 1.0) < MAX_TURN_ERROR else 0.0)
+        _shown_position(of_all.x, sigma) * bearing.is_known,
+        _shown_delay(of_all.x, sigma) if abs(found.values[1] - 1.0) < MAX_TURN_ERROR else 0.0)
 
 
 def _with_range_scale(given: float, bearing: ErrorEstimate) -> ErrorEstimate:
@@ -99,17 +100,15 @@ def _with_range_scale(given: float, bearing: ErrorEstimate) -> ErrorEstimate:
         bearing.samples)
 
 
-def _shown_position(fit: ErrorFit, stamps: Stamps) -> Array:
-    """Return the position (2,) of the sensor by a fit of all errors, 0 where none is shown."""
-    x, (_, sigma) = fit.x[POSITION], fit.standard_errors(blocks(stamps))
-    is_shown = np.abs(x) > np.maximum(MIN_SIGMAS * sigma[POSITION], MIN_POSITION)
-    return np.where(is_shown, x, 0.0)
+def _shown_position(x: Array, sigma: Array) -> Array:
+    """Return the position (2,) of the sensor by values and standard errors, 0 where not shown."""
+    is_shown = np.abs(x[POSITION]) > np.maximum(MIN_SIGMAS * sigma[POSITION], MIN_POSITION)
+    return np.where(is_shown, x[POSITION], 0.0)
 
 
-def _shown_delay(fit: ErrorFit, stamps: Stamps) -> float:
-    """Return the delay of stamps [s] by a fit of all errors, 0 where none is shown."""
-    delay, (_, sigma) = float(fit.x[DELAY]), fit.standard_errors(blocks(stamps))
-    shown = max(MIN_SIGMAS * float(sigma[DELAY]), MIN_DELAY)
+def _shown_delay(x: Array, sigma: Array) -> float:
+    """Return the delay of stamps [s] by values and standard errors, 0 where none is shown."""
+    delay, shown = float(x[DELAY]), max(MIN_SIGMAS * float(sigma[DELAY]), MIN_DELAY)
     return delay if shown < abs(delay) < 0.99 * MAX_DELAY else 0.0
 
 

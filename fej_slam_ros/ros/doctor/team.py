@@ -95,10 +95,12 @@ def is_consistent(trial: Trial) -> bool:
 
 def restarts(trial: Trial) -> int:
     """Return how often robots restarted in frames of their own, and no poses made them."""
+    return sum(_restarts_of(name, trial) for name in trial.estimator.robots)
+
+
+def _restarts_of(robot: str, trial: Trial) -> int:
     statistics = trial.estimator.statistics
-    return sum(
-        statistics.relocalized[name] for name in trial.estimator.robots
-        if not statistics.pose_priors_used[name])
+    return 0 if statistics.pose_priors_used[robot] else statistics.relocalized[robot]
 
 
 def maps_agree(trial: Trial) -> bool:
@@ -213,13 +215,12 @@ def _repeated_poses(trial: Trial) -> Iterator[Finding]:
 
 def _restarts(robot: str, trial: Trial) -> Iterator[Finding]:
     """Yield that a robot restarted in its own frame, unless poses were given for that."""
-    statistics = trial.estimator.statistics
-    count = statistics.relocalized[robot]
-    if count and not statistics.pose_priors_used[robot]:
+    count = _restarts_of(robot, trial)
+    if count:
         yield warning(
             'restarted', robot,
             f'it restarted in its own frame {counted(count, "time")}, the last one:'
-            f' {statistics.restart_reasons[robot]}',
+            f' {trial.estimator.statistics.restart_reasons[robot]}',
             f'check its odometry there, and {robot}.start_pose and {robot}.start_sigma if given',
             count)
 

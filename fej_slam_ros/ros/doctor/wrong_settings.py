@@ -14,7 +14,8 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, compose
-from fej_slam_ros.core.ordering.impossible_motion import AT_ORIGIN
+from fej_slam_ros.core.ordering.impossible_motion import is_at_origin
+from fej_slam_ros.core.records import Odometry
 from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
 from fej_slam_ros.ros.doctor import team
 from fej_slam_ros.ros.doctor.findings import error, Finding
@@ -71,8 +72,8 @@ def _late_starts(given: Settings, survey: Survey) -> Iterator[tuple[Finding, Set
     """Yield start poses at the origins of odometry of robots that had moved before the bag."""
     others, cures = given, dict[str, str]()
     for robot in given.robots:
-        _, poses = survey.odometry(robot.name).ordered()
-        if len(poses) and (np.abs(poses[0]) > [AT_ORIGIN[0], *AT_ORIGIN]).any():
+        stamps, poses = survey.odometry(robot.name).ordered()
+        if len(poses) and not is_at_origin(Odometry(robot.name, int(stamps[0]), poses[0], None)):
             others, cure = _with_later_start(others, robot, poses[0])
             cures |= cure
     if cures:
