@@ -13,7 +13,7 @@ Observations without IDs get those of the landmarks that the estimator matches t
 """
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -35,6 +35,8 @@ from fej_slam_ros.tables import text_table
 
 #: Chi-square over its degrees of freedom above which covariances do not describe the errors.
 MAX_CHI_SQUARE_RATIO = 2.0
+#: Largest number of intervals of released odometry that are listed.
+MAX_INTERVALS = 3
 BASE_NODE_HEADINGS = (
     'base node', 'frame', 'x [m]', 'y [m]', 'yaw [rad]', 'sigma x', 'sigma y', 'sigma yaw')
 MESSAGE_HEADINGS = ('message from', 'to', 'subset [B]', 'log [B]', 'map [B]', 'smallest')
@@ -112,13 +114,10 @@ def _tables(session: BagSmootherSession) -> Iterator[str]:
             f' {"larger" if join.scale > 1.0 else "smaller"} than that of'
             f' {" and ".join(join.others)}: fej_slam calibrate finds wrong ranges and odometry')
     for released in session.released_odometry():
-        intervals = ' and '.join(
-            f'from {begin / NS:.1f} to {end / NS:.1f} s'
-            for begin, end in released['intervals_ns'])
         yield (
-            f'released odometry of {released["robot"]} {intervals}:'
-            f' {counted(released["observations"], "observation")} of robots contradicted it, and a'
-            ' slip of the wheels explains all of them')
+            f'released odometry of {released["robot"]} {_times(released["intervals_ns"])}:'
+            f' {counted(released["observations"], "observation")} contradicted it. The wheels'
+            ' slipped, or the robot was carried')
     rows = [
         (name, solved.frame, *(f'{x:.4f}' for x in [*base.pose, *np.sqrt(np.diag(base.P))]))
         for solved in solution.maps for name, base in solved.base_nodes.items()]
@@ -129,3 +128,12 @@ def _tables(session: BagSmootherSession) -> Iterator[str]:
         yield text_table(MESSAGE_HEADINGS, (
             (*robots, *map(str, by_form.values()), smallest(by_form))
             for robots, by_form in session.message_sizes.items()))
+
+
+def _times(intervals: Sequence[Sequence[int]]) -> str:
+    """Return a text with the begin and end [ns] of some intervals."""
+    times = [f'from {begin / NS:.1f} to {end / NS:.1f} s' for begin, end in intervals]
+    if len(times) <= MAX_INTERVALS:
+        return ' and '.join(times)
+    begin, end = intervals[0][0], intervals[-1][1]
+    return f'in {len(times)} intervals from {begin / NS:.1f} to {end / NS:.1f} s'

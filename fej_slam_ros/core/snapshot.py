@@ -26,10 +26,10 @@ from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation, PoseScore
 from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.keyframes import Keyframes
 from fej_slam_ros.core.csam.map_merging import ScaledJoin
+from fej_slam_ros.core.csam.odometry_links import ReleasedOdometry
 from fej_slam_ros.core.csam.outlier_removal import Outlier
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
-from fej_slam_ros.core.csam.slips import ReleasedOdometry
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory, TeamMap
 from fej_slam_ros.core.data_association.failure_detection import (

@@ -20,6 +20,7 @@ from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.landmark_matching import match_landmarks
 from fej_slam_ros.core.csam.loop_closing import close_loops, with_measurements
 from fej_slam_ros.core.csam.maps import JointMap, merged
+from fej_slam_ros.core.csam.odometry_links import MIN_PER_LINK, ReleasedOdometry
 from fej_slam_ros.core.csam.outlier_removal import Outlier, without_landmarks
 from fej_slam_ros.core.csam.rendezvous import (
     Failed, Measurements, outlier_report, Rendezvous, rendezvous_of, RendezvousMeasurement,
@@ -27,7 +28,7 @@ from fej_slam_ros.core.csam.rendezvous import (
 from fej_slam_ros.core.csam.rendezvous_alignment import RendezvousAligner
 from fej_slam_ros.core.csam.shared_landmarks import (
     LandmarkAlignment, SharedLandmarks, variance_factor)
-from fej_slam_ros.core.csam.slips import explained_loops, MIN_PER_LINK, ReleasedOdometry
+from fej_slam_ros.core.csam.slips import explained_loops
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.join_failure import JoinFailure

@@ -17,7 +17,7 @@ import numpy as np
 from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.gauss_newton import ConvergenceError
-from fej_slam_ros.core.geometry import Array, compose, Indices, transform
+from fej_slam_ros.core.geometry import Array, compose, Flags, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.factors import concatenated, LandmarkFactors, rows_of, Values
@@ -57,21 +57,38 @@ def without_outliers(own: JointMap, probability: float) -> tuple[JointMap, list[
         As of `least_squares`, also without the outliers that a robust cost shows.
 
     """
-    count = len(own.problem.landmarks.z)
-    limit = chi_square_quantile(2, probability ** (1.0 / max(count, 1)))
+    limit = outlier_limit(own, probability)
     complete = _minimum(own)
     if complete is not None and not _worst(complete, limit):
         return complete, []
     # Outliers worsen the fit of correct observations, most of all where they prevent a minimum.
-    robust = _minimum(own, ROBUST_LOSS, ROBUST_TOLERANCE) or _minimum(
-        replace(own, values=_by_odometry(own)), ROBUST_LOSS, ROBUST_TOLERANCE)
+    robust = robust_minimum(own)
     kept, outliers = (complete or own, []) if robust is None else _without(
         robust, _beyond(robust, limit), limit)
     kept, others = _in_rounds(kept, limit)
     outliers += others
-    if len(outliers) > MAX_OUTLIER_FRACTION * count:
+    if len(outliers) > MAX_OUTLIER_FRACTION * len(own.problem.landmarks.z):
         return complete or own.solved(), []
     return kept, outliers
+
+
+def robust_minimum(own: JointMap) -> JointMap | None:
+    """Return a map at the minimum of the cost by which outliers are found, None without one."""
+    return _minimum(own, ROBUST_LOSS, ROBUST_TOLERANCE) or _minimum(
+        replace(own, values=_by_odometry(own)), ROBUST_LOSS, ROBUST_TOLERANCE)
+
+
+def outlier_limit(own: JointMap, probability: float) -> float:
+    """Return the limit of d2 beyond which no observation is, with the given probability."""
+    count = len(own.problem.landmarks.z)
+    return chi_square_quantile(2, probability ** (1.0 / max(count, 1)))
+
+
+def beyond(own: JointMap, limit: float) -> Flags:
+    """Return whether each landmark observation (m,) of a map is beyond a limit of d2."""
+    _, d2 = _distances(own)
+    is_beyond: Flags = d2 > limit
+    return is_beyond
 
 
 def without_landmarks(

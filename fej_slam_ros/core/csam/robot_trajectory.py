@@ -7,19 +7,16 @@ from collections.abc import Iterator
 import numpy as np
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.csam.frame_by_landmarks import frame_by_landmarks, MIN_FOUND
 from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.csam.team_solution import SmoothedMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
-from fej_slam_ros.core.geometry import Array, rigid_fit, transform
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey, Motion, Observation, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing.factors import Values
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
-
-#: Number of landmarks that a lost robot must observe again to be found, and the largest ratio of
-#: their residuals after a rigid fit to their extent.
-MIN_FOUND, MAX_MISFIT = 3, 0.2
 
 
 class RobotTrajectory:
@@ -153,13 +150,11 @@ class RobotTrajectory:
         lost, known, shared = self._lost, self._smoother, self._observed_again()
         if lost is None or len(shared) < MIN_FOUND:
             return
-        a, b = (
+        g = frame_by_landmarks(*(
             smoother.values().points[[smoother.landmark_index[id_] for id_ in shared]]
-            for smoother in (lost, known))
-        g = rigid_fit(a, b)
-        if np.std(transform(g, a) - b) > MAX_MISFIT * np.std(b - b.mean(axis=0)):
-            return
-        self._attach(lost, g)
+            for smoother in (lost, known)))
+        if g is not None:
+            self._attach(lost, g)
 
     def _start_own_frame(
         self, stamp: int, observations: tuple[Observation, ...]

@@ -17,9 +17,10 @@ from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.map_merging import join_maps, ScaledJoin
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
-from fej_slam_ros.core.csam.outlier_removal import Outlier, without_outliers
+from fej_slam_ros.core.csam.odometry_links import ReleasedOdometry
+from fej_slam_ros.core.csam.outlier_removal import Outlier
+from fej_slam_ros.core.csam.own_slips import own_map, OwnMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
-from fej_slam_ros.core.csam.slips import ReleasedOdometry
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import (
@@ -109,11 +110,13 @@ def solve(task: SmoothingTask) -> TeamMap:
     measurements have the same map, each in its own frame.
 
     """
-    own_maps, outliers, unsolved = _own_maps(task)
+    own_maps, unsolved = _own_maps(task)
+    outliers = {robot: [*own.outliers] for robot, own in own_maps.items()}
+    released = [own.released for own in own_maps.values() if own.released is not None]
     measurements = [m for m in task.measurements if {m.observer, m.observed} <= own_maps.keys()]
     try:
         joined = join_maps(
-            [own_maps[robot] for robot in sorted(own_maps)], measurements, task.rules)
+            [own_maps[robot].joint for robot in sorted(own_maps)], measurements, task.rules)
     except NoMinimumError as error:
         return TeamMap(unsolved=unsolved | dict.fromkeys(own_maps, str(error)))
     for robot, left_out in joined.outliers.items():
@@ -126,22 +129,20 @@ def solve(task: SmoothingTask) -> TeamMap:
         except NoMinimumError as error:  # noqa: PERF203
             unsolved |= dict.fromkeys(joint.robots, str(error))
     return TeamMap(
-        tuple(maps), tuple(joined.failures), unsolved, outliers, tuple(joined.released),
+        tuple(maps), tuple(joined.failures), unsolved, outliers, (*released, *joined.released),
         tuple(joined.scaled))
 
 
-def _own_maps(
-    task: SmoothingTask
-) -> tuple[dict[str, JointMap], dict[str, list[Outlier]], dict[str, str]]:
-    """Return the solved maps and their outliers by robot, and why others have no minimum."""
-    maps, outliers, unsolved = {}, {}, {}
+def _own_maps(task: SmoothingTask) -> tuple[dict[str, OwnMap], dict[str, str]]:
+    """Return the solved map of each robot, and why others have no minimum."""
+    maps, unsolved = {}, {}
     for local in task.maps:
         try:
-            maps[local.robot], outliers[local.robot] = without_outliers(
-                JointMap.unsolved(local), task.gate_probability)
+            maps[local.robot] = own_map(
+                JointMap.unsolved(local), task.gate_probability, task.rules.limit(3))
         except NoMinimumError as error:  # noqa: PERF203
             unsolved[local.robot] = str(error)
-    return maps, outliers, unsolved
+    return maps, unsolved
 
 
 def _led_by_first(maps: Sequence[JointMap], names: Sequence[str]) -> list[JointMap]:

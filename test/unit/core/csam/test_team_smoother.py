@@ -11,7 +11,7 @@ import pytest
 
 from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.csam import team_solution
-from fej_slam_ros.core.csam.outlier_removal import without_outliers
+from fej_slam_ros.core.csam.own_slips import own_map
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import solution_hash, solve, TeamMap
 from fej_slam_ros.core.gauss_newton import ConvergenceError
@@ -303,12 +303,12 @@ def test_an_unsolved_map_is_kept_and_the_others_are_solved(monkeypatch):
     task = smoother.task()
     broken = task.maps[1].problem
 
-    def minimum_or_fail(own, probability):
+    def minimum_or_fail(own, *rules):
         if own.problem is broken:
             raise ConvergenceError('no minimum')
-        return without_outliers(own, probability)
+        return own_map(own, *rules)
 
-    monkeypatch.setattr(team_solution, 'without_outliers', minimum_or_fail)
+    monkeypatch.setattr(team_solution, 'own_map', minimum_or_fail)
     smoother.adopt(solve(task))
 
     assert smoother.solution.unsolved == {'r2': 'no minimum'}
