@@ -80,7 +80,8 @@ def fit_to_landmarks(
     stamps = pairs.stamps[0]
     if not suffice(stamps):
         return None
-    fitted = partial(_by_instruments, measured_motion(pairs), predicted_motion(pairs))
+    measured = measured_motion(pairs)
+    fitted = partial(_by_instruments, measured, predicted_motion(measured))
     found, of_all = shown_errors(
         fitted, LIMITS, stamps, np.append(given_odometry(robot), bearing_bias))
     bearing = found.part(slice(3, 4))

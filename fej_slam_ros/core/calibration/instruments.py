@@ -8,7 +8,7 @@ and derivatives alike. Velocities shortly before and after the two observations 
 noise of their own, and show how the robot moved between them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -59,28 +59,25 @@ class PairMotion:
 
 def measured_motion(pairs: ObservationPairs) -> PairMotion:
     """Return the motion between the observations of pairs by odometry."""
-    return PairMotion(pairs, pairs.odometry.motions(*pairs.stamps), _by_delay(pairs))
+    earlier, later = (
+        pairs.odometry.motions(*(pairs.stamps + step)) for step in (-DELAY_STEP, DELAY_STEP))
+    return PairMotion(
+        pairs, pairs.odometry.motions(*pairs.stamps), (earlier - later) / (2.0 * DELAY_STEP / NS))
 
 
-def predicted_motion(pairs: ObservationPairs) -> PairMotion:
+def predicted_motion(measured: PairMotion) -> PairMotion:
     """Return the same motion by the odometry before the first and after the second observation."""
-    first, second = pairs.stamps
+    odometry, (first, second) = measured.pairs.odometry, measured.pairs.stamps
     start, end = (
-        np.clip(stamps, *pairs.odometry.stamps[[0, -1]])
+        np.clip(stamps, *odometry.stamps[[0, -1]])
         for stamps in (first - PREDICTION_TIME, second + PREDICTION_TIME))
     # In the frame halfway through each turn, motions at equal velocities are proportional.
     moved = sum(
-        _with_rotated_start(pairs.odometry.motions(*interval), -0.5)
+        _with_rotated_start(odometry.motions(*interval), -0.5)
         for interval in ((start, first), (second, end)))
     times = _seconds(start, first) + _seconds(second, end)
     predicted = moved * (_seconds(first, second) / times)[:, None]
-    return PairMotion(pairs, _with_rotated_start(predicted, 0.5), _by_delay(pairs))
-
-
-def _by_delay(pairs: ObservationPairs) -> Array:
-    earlier, later = (
-        pairs.odometry.motions(*(pairs.stamps + step)) for step in (-DELAY_STEP, DELAY_STEP))
-    return (earlier - later) / (2.0 * DELAY_STEP / NS)
+    return replace(measured, motion=_with_rotated_start(predicted, 0.5))
 
 
 def _with_rotated_start(motions: Array, part: float) -> Array:
