@@ -29,8 +29,8 @@ from fej_slam_ros.atomic_files import write_text
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, integer_option
 from fej_slam_ros.cli.bag_input import team_messages
 from fej_slam_ros.cli.calibration_run import (
-    calibrated, Calibration, Estimates, INNOVATIONS, is_known, MAX_UNEVEN, parsed, TRUTH,
-    within_limits)
+    calibrated, Calibration, Estimates, INNOVATIONS, is_known, nis_per_dof, parsed, TRUTH,
+    uneven_robots, within_limits)
 from fej_slam_ros.cli.run_table import matched_in_words
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration import observation_errors, odometry_errors
@@ -146,13 +146,12 @@ def _scores(
     estimator, _ = run_estimator(
         settings.estimation, tqdm(records, name, unit='msg', disable=None),
         prior_map(settings))
-    scores = {}
+    scores, nis = {}, nis_per_dof(estimator)
     for robot in estimator.robots:
-        nis, score = estimator.innovations.nis[robot], estimator.evaluation.scores.get(robot)
+        score = estimator.evaluation.scores.get(robot)
         rejected = estimator.statistics.rejection_counts[robot]
         scores[robot] = _Score(
-            nis.total / nis.dof if nis.dof else None,
-            None if score is None else score.mean_nees_per_dof(),
+            nis.get(robot), None if score is None else score.mean_nees_per_dof(),
             rejected[RejectionReason.GATED] + rejected[RejectionReason.MOVED_LANDMARK])
     return scores
 
@@ -165,12 +164,12 @@ def _uneven(scores: Mapping[str, _Score], estimates: Estimates) -> Iterator[str]
     nis = {
         robot: score.nis_per_dof for robot, score in scores.items()
         if score.nis_per_dof is not None}
-    largest, smallest = (
-        choose(nis, key=nis.__getitem__, default='') for choose in (max, min))
-    if of_all and nis and nis[largest] > MAX_UNEVEN * nis[smallest]:
+    uneven = uneven_robots(nis)
+    if of_all and uneven is not None:
+        largest, least = uneven
         yield (
-            f'before, NIS/dof of {largest} is {nis[largest] / nis[smallest]:.1f} times that of'
-            f' {smallest}: {" and ".join(of_all)} of all robots may be too large for some and too'
+            f'before, NIS/dof of {largest} is {nis[largest] / nis[least]:.1f} times that of'
+            f' {least}: {" and ".join(of_all)} of all robots may be too large for some and too'
             f' small for others; record ground truth, or set larger ones of {largest} by hand')
 
 

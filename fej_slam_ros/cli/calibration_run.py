@@ -21,6 +21,7 @@ from fej_slam_ros.core.calibration.robot_scales import NoiseScale
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_GAIN
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
+from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import NS, Odometry, PriorMap, Received, TrueLandmarks
 from fej_slam_ros.core.settings import Settings
@@ -234,12 +235,23 @@ def _of_robots(
     """Return the scale of odometry, and those of robots that differ, by scans far apart."""
     estimator, _ = run(comparable(settings), records, prior)
     on_run()
-    nis = [nis.total / nis.dof for nis in estimator.innovations.nis.values() if nis.dof]
-    if max(nis, default=0.0) <= MAX_UNEVEN * min(nis, default=0.0):
+    if uneven_robots(nis_per_dof(estimator)) is None:
         return _over_windows(of_all)
     own = most_likely_scales_of_robots(settings, records, 'odometry', prior, on_run)
     # A scale of all by one search is better than one combined of many.
     return ScaleEstimate(INNOVATION_WINDOWS, own) if len(own) > 1 else _over_windows(of_all)
+
+
+def nis_per_dof(estimator: Estimator) -> dict[str, float]:
+    """Return NIS/dof of each robot that has innovations."""
+    return {
+        robot: nis.total / nis.dof for robot, nis in estimator.innovations.nis.items() if nis.dof}
+
+
+def uneven_robots(nis: Mapping[str, float]) -> tuple[str, str] | None:
+    """Return the robots of the largest and the least NIS/dof if one scale cannot fit both."""
+    largest, least = (choose(nis, key=nis.__getitem__, default='') for choose in (max, min))
+    return (largest, least) if nis and nis[largest] > MAX_UNEVEN * nis[least] else None
 
 
 def _estimation(values: Mapping[str, object], estimates: Estimates) -> Settings:
