@@ -59,5 +59,5 @@ def _detail(topic: str, reason: Reason, series: TopicSeries | None, trial: Trial
     if reason is Reason.WRONG_FRAME:
         return f', frames {most_frequent(series.frames)}'
     if reason is Reason.UNKNOWN_ROBOT:
-        return f', observed IDs {", ".join(map(str, sorted(series.id_counts())[:8]))}'
+        return f', observed IDs {", ".join(map(str, sorted(series.id_counts)[:8]))}'
     return ''

@@ -103,6 +103,7 @@ class ObservationSeries(TopicSeries):
     ids: list[NDArray[np.int64]] = field(default_factory=list)
     ranges: list[Array] = field(default_factory=list)
     variances: list[Array] = field(default_factory=list)
+    id_counts: Counter[int] = field(default_factory=Counter)  #: number of observations by ID
     #: number of scans by numpy's kind of the field id, '' without that field
     id_types: Counter[str] = field(default_factory=Counter)
 
@@ -120,22 +121,19 @@ class ObservationSeries(TopicSeries):
         x, y, var_x, var_y = (
             columns.get(name, zero).astype(float) for name in ('x', 'y', 'var_x', 'var_y'))
         self.ids.append(columns.get('id', np.full(size, NO_ID)).astype(np.int64))
+        self.id_counts.update(self.ids[-1].tolist())
         with np.errstate(over='ignore', invalid='ignore'):
             self.ranges.append(np.hypot(x, y))
         self.variances.append(np.column_stack([var_x, var_y]))
 
     def positions(self) -> tuple[Stamps, Array]:
         """Return stamps (n,) [ns] and ranges (n, 1) of the ID that is observed most often."""
-        (id_, _), *_ = self.id_counts().most_common(1) or [(NO_ID, 0)]
+        (id_, _), *_ = self.id_counts.most_common(1) or [(NO_ID, 0)]
         rows = [
             (stamp, r) for stamp, ids, ranges in zip(self.stamps, self.ids, self.ranges)
             for r in ranges[ids == id_]]
         stamps = np.array([stamp for stamp, _ in rows], np.int64)
         return stamps, np.array([r for _, r in rows]).reshape(-1, 1)
-
-    def id_counts(self) -> Counter[int]:
-        """Return the number of observations of each ID."""
-        return Counter(id_ for scan in self.ids for id_ in scan.tolist())
 
 
 class Survey:

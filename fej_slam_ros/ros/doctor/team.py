@@ -123,7 +123,7 @@ def _have_one_shape(first: Mapping[int, Array], second: Mapping[int, Array]) -> 
 def _exchanged(robot: str, survey: Survey, team: Collection[int]) -> Iterator[Finding]:
     """Yield that the IDs on the topic of robots are those of landmarks."""
     landmarks, robots = (
-        survey.observations(f'{robot}/{kind}').id_counts().keys() - {NO_ID}
+        survey.observations(f'{robot}/{kind}').id_counts.keys() - {NO_ID}
         for kind in OBSERVATION_TOPICS)
     if len(robots) >= max(MIN_LANDMARK_IDS, len(team) + 1) and landmarks.issubset(team):
         rules = f'/{robot}/robots:=/{robot}/landmarks' + (
@@ -167,10 +167,10 @@ class _Shared(NamedTuple):
         cls, robot: RobotSettings, other: RobotSettings, survey: Survey, shared_ids: bool
     ) -> '_Shared':
         mine, theirs = (
-            survey.observations(f'{name}/landmarks').id_counts().keys() - {NO_ID}
+            survey.observations(f'{name}/landmarks').id_counts.keys() - {NO_ID}
             for name in (robot.name, other.name))
         return cls(other.name, len(mine & theirs) if shared_ids else 0, sum(
-            survey.observations(f'{observer.name}/robots').id_counts()[observed.id]
+            survey.observations(f'{observer.name}/robots').id_counts[observed.id]
             for observer, observed in ((robot, other), (other, robot))))
 
     def __str__(self) -> str:
@@ -184,7 +184,7 @@ def _cure_of_landmarks(
 ) -> str:
     """Return what helps a robot to join by landmarks."""
     have_ids = {
-        name: any(id_ > NO_ID for id_ in survey.observations(f'{name}/landmarks').id_counts())
+        name: any(id_ > NO_ID for id_ in survey.observations(f'{name}/landmarks').id_counts)
         for name in (other.name for other in settings.robots)}
     if not have_ids[robot.name] and any(have_ids.values()):
         return (
@@ -253,7 +253,7 @@ def _contradictions(robot: str, survey: Survey, trial: Trial) -> Iterator[Findin
 def _contradicted_ids(robot: str, survey: Survey, trial: Trial) -> Iterator[Finding]:
     """Yield the IDs of a robot that contradict the map while its other observations fit."""
     topic = f'{robot}/landmarks'
-    observed = survey.observations(topic).id_counts()
+    observed = survey.observations(topic).id_counts
     wrong = sorted(
         id_ for (name, id_), failures in trial.gate_failures.items()
         if name == robot and id_ > NO_ID
