@@ -19,12 +19,17 @@ MIN_REDUNDANCY = 1e-6
 def band_per_dof(dof: float, probability: float = 0.95) -> tuple[float, float]:
     """Return the central interval of a consistent filter's NEES/dof or NIS/dof; dof in all."""
     tail = (1.0 - probability) / 2.0
-    return float(chdtri(dof, 1.0 - tail)) / dof, float(chdtri(dof, tail)) / dof
+    return chi_square_limit(dof, 1.0 - tail) / dof, chi_square_limit(dof, tail) / dof
 
 
 def chi_square_quantile(dof: int, probability: float) -> float:
     """Return the quantile of this probability, with dof degrees of freedom."""
     return 2.0 * float(gammaincinv(dof / 2, probability))
+
+
+def chi_square_limit(dof: float, tail: float) -> float:
+    """Return the quantile of probability 1 - tail, without rounding a small tail."""
+    return float(chdtri(dof, tail))
 
 
 def own_blocks(S: Array) -> Array:

@@ -8,15 +8,15 @@ points closest to their places in the other set decides.
 """
 
 import numpy as np
-from scipy.special import chdtri
 
+from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.geometry import Array
 
 #: Share of the landmarks of two maps that may contradict the others.
 MAX_OUTLYING = 0.2
 #: A landmark or rendezvous point is an outlier if its squared Mahalanobis distance is above this:
 #: a correct one exceeds it with probability 1e-6.
-OUTLIER_D2 = float(chdtri(2, 1e-6))
+OUTLIER_D2 = chi_square_limit(2, 1e-6)
 
 
 def farthest_points(a: Array, b: Array, most: int) -> list[int]:

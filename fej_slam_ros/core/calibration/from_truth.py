@@ -17,11 +17,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
 from fej_slam_ros.core.calibration.team_records import NearTruth, TeamRecords
+from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.geometry import Array, between, Flags, pose_difference, rotation, transform
@@ -63,7 +63,7 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     """
     d2 = np.array(squared)
     limit = _outlier_limit(dof)
-    variance, kept = float(np.median(d2)) / chdtri(dof, 0.5), 0
+    variance, kept = float(np.median(d2)) / chi_square_limit(dof, 0.5), 0
     while (count := int((d2 <= limit * variance).sum())) > kept:
         variance, kept = float(d2[d2 <= limit * variance].mean()) / dof, count
     if variance == 0.0:
@@ -73,7 +73,7 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
 
 def _outlier_limit(dof: int) -> float:
     """Return the normalised error squared of noise of scale 1 beyond which it is an outlier."""
-    return float(chdtri(dof, OUTLIER_PROBABILITY))
+    return chi_square_limit(dof, OUTLIER_PROBABILITY)
 
 
 def inliers(squared: Array) -> Flags:

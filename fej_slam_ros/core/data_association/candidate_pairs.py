@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtri
 
-from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.chi_square import chi_square_limit, squared_distances
 from fej_slam_ros.core.ekf import numpy_kernel
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
@@ -26,7 +25,7 @@ from fej_slam_ros.core.geometry import Array, Indices, perpendicular
 from fej_slam_ros.core.records import Observation
 
 #: Squared distance from which a pair is no candidate; of correct pairs one in a million.
-MAX_PAIR_D2 = float(chdtri(2, 1e-6))
+MAX_PAIR_D2 = chi_square_limit(2, 1e-6)
 
 #: Maximum number of candidate pairs of a scan; with more, all of them are ambiguous. Bounds time
 #: and memory of the search.

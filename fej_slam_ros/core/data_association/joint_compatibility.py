@@ -18,8 +18,8 @@ from itertools import accumulate
 import math
 
 import numpy as np
-from scipy.special import chdtri
 
+from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.data_association.candidate_pairs import (
     candidate_pairs, CandidatePairs, MAX_CANDIDATE_PAIRS, Pair)
 from fej_slam_ros.core.ekf.linearization import Linearization
@@ -35,7 +35,7 @@ MIN_GAIN = math.log(3.0)
 
 #: Maximum squared Mahalanobis distance of the first pair of an alternative hypothesis; 99.9 % of
 #: correct pairs are within it.
-MAX_SEED_D2 = float(chdtri(2, 1e-3))
+MAX_SEED_D2 = chi_square_limit(2, 1e-3)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,7 +95,8 @@ def match_scan(
         if p is None:
             continue
         d2 = float(rest.weights.d2[p])
-        if d2 <= chdtri(2, tail) and sum_d2 + d2 <= chdtri(2 * (len(matched) + 1), tail):
+        if d2 <= chi_square_limit(2, tail) and sum_d2 + d2 <= chi_square_limit(
+                2 * (len(matched) + 1), tail):
             matched[pair[0]], sum_d2 = landmarks[pair[1]], sum_d2 + d2
             rest = rest.conditioned_on(p)
     doubtful = {*rest.observation.tolist()}

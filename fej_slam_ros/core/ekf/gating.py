@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri
 
-from fej_slam_ros.core.chi_square import squared_distances
+from fej_slam_ros.core.chi_square import chi_square_limit, squared_distances
 from fej_slam_ros.core.ekf.curved_errors import ITERATIONS
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import Landmark, Robot
@@ -18,7 +17,7 @@ from fej_slam_ros.core.geometry import Array, Flags
 from fej_slam_ros.core.records import AnyObservation
 
 #: Median of chi-square with 2 degrees of freedom, that of the squared distances of correct data.
-MEDIAN_D2 = float(chdtri(2, 0.5))
+MEDIAN_D2 = chi_square_limit(2, 0.5)
 
 #: Minimum number of known landmarks by which a scan distinguishes a wrong pose from a moved
 #: landmark, and of trusted ones that decide alone: a lost robot is right about those it starts.
@@ -29,7 +28,7 @@ MIN_TRUSTED = 2
 #: beyond which one contradicts the map. The gate alone is not enough: where an overconfident robot
 #: closes a loop, whole scans fail.
 CONTRADICTION_PROBABILITY = 1e-9
-CONTRADICTION_D2 = float(chdtri(2, CONTRADICTION_PROBABILITY))
+CONTRADICTION_D2 = chi_square_limit(2, CONTRADICTION_PROBABILITY)
 
 #: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60
@@ -168,7 +167,7 @@ class Gate:
     """
 
     def __init__(self, probability: float) -> None:
-        self.threshold = float(chdtri(2, 1.0 - probability))
+        self.threshold = chi_square_limit(2, 1.0 - probability)
 
     def test(self, r: Array, S: Array) -> tuple[Flags, Array]:
         """

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
-from scipy.special import chdtri
 
+from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Robot
@@ -67,7 +67,7 @@ def _fitted_pose(state: JointState, scan: Sequence[Association]) -> Array | None
     dx = np.linalg.lstsq(H, y, rcond=None)[0]
     chi2, dof = np.sum((y - H @ dx) ** 2), len(y) - len(dx)
     fitted: Array = poses_plus(pose[None], dx)[0]
-    return fitted if chi2 <= chdtri(dof, MISFIT_PROBABILITY) else None
+    return fitted if chi2 <= chi_square_limit(dof, MISFIT_PROBABILITY) else None
 
 
 def _inflate(

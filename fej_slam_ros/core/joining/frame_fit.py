@@ -13,8 +13,8 @@ from operator import itemgetter
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import chdtri
 
+from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.ekf.covariance import joint_indices
 from fej_slam_ros.core.ekf.state import (
     JointState, Landmark, POSITION, position_indices, RendezvousPoint, Robot, Variable, Variables)
@@ -94,7 +94,7 @@ class FrameFit:
 
     def limit(self, tail: float) -> float:
         """Return the chi2 that correct variables exceed with a probability."""
-        return float(chdtri(self.dof, tail))
+        return chi_square_limit(self.dof, tail)
 
     def is_consistent(self, tail: float) -> bool:
         """Return whether chi2 is within its limit, as it always is without degrees of freedom."""

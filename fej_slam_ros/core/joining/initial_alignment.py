@@ -15,9 +15,9 @@ from itertools import combinations
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, LinAlgError, solve_triangular
-from scipy.special import chdtri
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.ekf.gating import CONTRADICTION_PROBABILITY
 from fej_slam_ros.core.ekf.linearization import Points, Poses
 from fej_slam_ros.core.ekf.matrix_product import product
@@ -107,7 +107,7 @@ def align(
             problem, (start, np.zeros(len(prior.P))), MAX_STEP0_ITERATIONS)
     except ConvergenceError as error:
         raise InitialAlignmentError(f'step 0: {error}') from None
-    if problem.dof and last.cost > chdtri(problem.dof, CONTRADICTION_PROBABILITY):
+    if problem.dof and last.cost > chi_square_limit(problem.dof, CONTRADICTION_PROBABILITY):
         raise InitialAlignmentError('the observations of step 0 contradict each other')
     x_lin = problem.stacked(*linearized_at(*problem.unstacked(last.x)))
     return InitialAlignment(

@@ -11,8 +11,8 @@ from collections.abc import Sequence
 
 import numpy as np
 from scipy.linalg import cho_solve
-from scipy.special import chdtri
 
+from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices, Variables
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.frame_fit import (
@@ -25,7 +25,7 @@ from fej_slam_ros.core.records import LandmarkKey
 MIN_SHARED, MAX_SHARED = 3, 8
 #: Squared Mahalanobis distance from the others beyond which such a landmark is removed; a correct
 #: one exceeds it with probability 1e-3, and its next observation starts it again.
-SINGLE_OBSERVATION_D2 = float(chdtri(2, 1e-3))
+SINGLE_OBSERVATION_D2 = chi_square_limit(2, 1e-3)
 
 
 def outlying_landmarks(

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from fej_slam_ros.core.chi_square import band_per_dof, chi_square_quantile, distances_where_tested
+from fej_slam_ros.core.chi_square import (
+    band_per_dof, chi_square_limit, chi_square_quantile, distances_where_tested)
 
 DOFS = (1, 2, 3, 30, 401, 5000)
 # Two implementations of the inverse of the same incomplete gamma function.
@@ -18,6 +19,12 @@ ROUNDING = 1e-12
 def test_a_quantile_is_that_of_scipy_stats(dof, probability):
     assert chi_square_quantile(dof, probability) == pytest.approx(
         chi2.ppf(probability, dof), rel=ROUNDING)
+
+
+@pytest.mark.parametrize('dof', DOFS)
+@pytest.mark.parametrize('tail', [0.0, 1e-20, 1e-6, 0.5, 1.0])
+def test_a_limit_is_exceeded_with_the_probability_of_the_tail(dof, tail):
+    assert chi_square_limit(dof, tail) == pytest.approx(chi2.isf(tail, dof), rel=ROUNDING)
 
 
 @pytest.mark.parametrize('dof', DOFS)
