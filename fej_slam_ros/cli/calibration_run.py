@@ -99,10 +99,10 @@ def _calibrated_by(
         beginning = _beginning(matched.records, arguments.seconds)
         with tqdm(desc='ranges', unit='run', disable=None) as bar:
             errors = _with_errors_of_ranges(errors, values, beginning, bar.update)
-    corrected = _without_systematic_errors(values, errors)
+    corrected = _with_systematic_errors(values, errors)
     estimates = _estimate(
         arguments, corrected, with_corrected_headings(matched.records, errors.headings))
-    return Calibration(_corrected(corrected, estimates), errors, estimates, matched)
+    return Calibration(_with_noise_scales(corrected, estimates), errors, estimates, matched)
 
 
 def parsed(values: Mapping[str, object]) -> parameters.RunSettings:
@@ -123,7 +123,7 @@ def _with_errors_of_ranges(
 
     """
     def log_likelihood_of(errors: SystematicErrors) -> float:
-        settings = parsed(_without_systematic_errors(values, errors))
+        settings = parsed(_with_systematic_errors(values, errors))
         on_run()
         return log_likelihood(comparable(settings.estimation), records, prior_map(settings))
 
@@ -141,7 +141,7 @@ def _with_errors_of_ranges(
     return errors
 
 
-def _without_systematic_errors(
+def _with_systematic_errors(
     values: Mapping[str, object], errors: SystematicErrors
 ) -> dict[str, object]:
     """Return parameters with the systematic errors that were found, where they are others."""
@@ -256,7 +256,7 @@ def uneven_robots(nis: Mapping[str, float]) -> tuple[str, str] | None:
 
 def _estimation(values: Mapping[str, object], estimates: Estimates) -> Settings:
     """Return the settings with the noise scales that are known."""
-    return parsed(_corrected(values, estimates)).estimation
+    return parsed(_with_noise_scales(values, estimates)).estimation
 
 
 def _over_windows(scale: NoiseScale) -> ScaleEstimate:
@@ -271,7 +271,7 @@ def _beginning(records: Sequence[Received], seconds: int) -> list[Received]:
         if isinstance(record, TrueLandmarks) or record.stamp <= first + seconds * NS]
 
 
-def _corrected(values: Mapping[str, object], estimates: Estimates) -> dict[str, object]:
+def _with_noise_scales(values: Mapping[str, object], estimates: Estimates) -> dict[str, object]:
     """Return parameters with the noise scales that are known, instead of all others of a kind."""
     corrected = dict(values)
     for kind in estimates:

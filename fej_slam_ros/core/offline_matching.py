@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.matches import Matches, observation_key, ObservationKey
-from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
+from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
 from fej_slam_ros.core.records import PriorMap, Received, Record, Scan
 from fej_slam_ros.core.settings import Settings
 
@@ -45,7 +45,7 @@ def match(
     def noted(record: Record) -> Record:
         """Note which observations become which ones by the correction of systematic errors."""
         if isinstance(record, Scan):
-            corrected = without_systematic_errors(record, robots[record.robot])
+            corrected = without_observation_errors(record, robots[record.robot])
             received.update(
                 (observation_key(record, after), observation_key(record, before))
                 for before, after in zip(record.observations, corrected.observations))

@@ -17,7 +17,7 @@ from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.geometry import Array, between, compose, perpendicular
 from fej_slam_ros.core.ordering.impossible_motion import UNKNOWN_SPEEDS
 from fej_slam_ros.core.ordering.odometry_increments import (
-    checked_increment, without_systematic_errors)
+    checked_increment, without_odometry_errors)
 from fej_slam_ros.core.records import is_too_uncertain, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -71,7 +71,7 @@ class PosePredictor:
         if not first.stamp <= settled.stamp <= newest.stamp:
             return None
         # Within the first increment: its beginning may be a record that came too late for this.
-        passed = without_systematic_errors(
+        passed = without_odometry_errors(
             between(first.pose, self._settled_odometry), (settled.stamp - first.stamp) / NS,
             settings)
         moved = between(compose(self._poses[0], passed), self._poses[-1])

@@ -27,7 +27,7 @@ from fej_slam_ros.core.calibration.odometry_errors import given_odometry, scatte
 from fej_slam_ros.core.calibration.shown_errors import (
     blocks, ErrorEstimate, ErrorFit, ErrorLimits, MIN_SIGMAS, shown_errors, suffice)
 from fej_slam_ros.core.geometry import Array, Flags
-from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
+from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
 from fej_slam_ros.core.records import NS, Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -75,7 +75,7 @@ def fit_to_landmarks(
     range_scale, bearing_bias = given_observations(robot)
     ranges_only = replace(robot, observation_bearing_bias=0.0)
     pairs = observation_pairs(
-        odometry, [without_systematic_errors(scan, ranges_only) for scan in scans],
+        odometry, [without_observation_errors(scan, ranges_only) for scan in scans],
         MAX_LANDMARK_TIME)
     stamps = pairs.stamps[0]
     if not suffice(stamps):

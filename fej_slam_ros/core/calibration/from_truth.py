@@ -26,7 +26,7 @@ from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.geometry import Array, between, Flags, pose_difference, rotation, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
+from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotScan, Scan)
@@ -111,7 +111,7 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     """
     team = TeamRecords(records, [robot.name for robot in settings.robots])
     scans = {
-        robot.name: [without_systematic_errors(scan, robot) for scan in team.scans[robot.name]]
+        robot.name: [without_observation_errors(scan, robot) for scan in team.scans[robot.name]]
         for robot in settings.robots}
     landmarks = _landmark_positions(
         chain.from_iterable(scans.values()), team.truth, team.near, settings.shared_landmark_ids)
@@ -128,7 +128,7 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
             robot.name: observation_errors(scans[robot.name]) for robot in settings.robots},
         'robot': {
             robot.name: observation_errors(
-                without_systematic_errors(scan, robot) for scan in team.robot_scans[robot.name])
+                without_observation_errors(scan, robot) for scan in team.robot_scans[robot.name])
             for robot in settings.robots}}
     return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 

@@ -9,7 +9,7 @@ from fej_slam_ros.core.records import AnyScan, RobotScan, ScanT
 from fej_slam_ros.core.settings import NoiseSettings
 
 
-def without_systematic_errors(scan: ScanT, settings: NoiseSettings) -> ScanT:
+def without_observation_errors(scan: ScanT, settings: NoiseSettings) -> ScanT:
     """Return a scan with corrected ranges and bearings; no noise scale is applied."""
     if settings.observation_range_scale == 1.0 and settings.observation_bearing_bias == 0.0:
         return scan
@@ -21,9 +21,8 @@ def without_systematic_errors(scan: ScanT, settings: NoiseSettings) -> ScanT:
 def corrected(scan: AnyScan, settings: NoiseSettings) -> AnyScan:
     """Return a scan with corrected ranges, bearings, and covariances by the noise scale."""
     if isinstance(scan, RobotScan):
-        return _scaled(
-            without_systematic_errors(scan, settings), settings.robot_noise_scale)
-    return _scaled(without_systematic_errors(scan, settings), settings.landmark_noise_scale)
+        return _scaled(without_observation_errors(scan, settings), settings.robot_noise_scale)
+    return _scaled(without_observation_errors(scan, settings), settings.landmark_noise_scale)
 
 
 def _scaled(scan: ScanT, scale: float) -> ScanT:

@@ -14,7 +14,7 @@ from fej_slam_ros.core.geometry import Array, perpendicular, wrap
 from fej_slam_ros.core.ordering.impossible_motion import (
     AT_ORIGIN, MAX_SPEED_RATIO, MIN_SPEED_BOUNDS, speeds)
 from fej_slam_ros.core.ordering.odometry_increments import (
-    scaled_increment, without_systematic_errors)
+    scaled_increment, without_odometry_errors)
 from fej_slam_ros.core.records import Motion, NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
 
@@ -52,7 +52,7 @@ def missed_motion(
     earlier, later = period
     increment, dt = scaled_increment(earlier, later, robot), (later.stamp - earlier.stamp) / NS
     duration = missed * dt
-    u = without_systematic_errors(first.pose, duration, robot)
+    u = without_odometry_errors(first.pose, duration, robot)
     distance, turn = float(np.hypot(*u[:2])), abs(wrap(float(u[2])))
     usual = speeds(increment.u, dt)
     fastest = np.maximum(MAX_SPEED_RATIO * np.array(usual), MIN_SPEED_BOUNDS)

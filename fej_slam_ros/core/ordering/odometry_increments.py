@@ -30,13 +30,13 @@ def increment(
 
     """
     dt = (later.stamp - earlier.stamp) / NS
-    u = without_systematic_errors(between(earlier.pose, later.pose), dt, settings)
+    u = without_odometry_errors(between(earlier.pose, later.pose), dt, settings)
     if later.twist_covariance is None:
         return u, np.diag(np.square(settings.odometry_sigma)) * dt
     return u, dt * dt * later.twist_covariance
 
 
-def without_systematic_errors(u: Array, dt: float, settings: NoiseSettings) -> Array:
+def without_odometry_errors(u: Array, dt: float, settings: NoiseSettings) -> Array:
     """Return a displacement u (3,) by odometry over a duration [s] without systematic errors."""
     scale, bias = settings.odometry_scale, settings.odometry_turn_bias
     if scale == (1.0, 1.0) and bias == 0.0:

@@ -91,7 +91,7 @@ def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
 
     def cost(delay: float) -> float:
         landmarks, _ = observation_errors(data, delay)
-        errors = without_systematic_errors(landmarks, bearing_offsets(landmarks), {})
+        errors = remaining_errors(landmarks, bearing_offsets(landmarks), {})
         inliers = errors.inliers()
         fit = count * np.square(inliers.bearings / sigma).mean() if len(inliers.bearings) else 0.0
         return float(fit + ((delay - usual) / CAMERA_DELAY_SIGMA) ** 2)
@@ -102,7 +102,7 @@ def camera_delay(data: MrclamSet, options: ConversionOptions) -> float:
     return float(min(found, key=lambda minimum: minimum.fun).x)
 
 
-def without_systematic_errors(
+def remaining_errors(
     errors: ObservationErrors, of_bearings: Mapping[int, tuple[float, float]],
     of_ranges: Mapping[int, tuple[float, float]],
 ) -> ObservationErrors:

@@ -14,7 +14,7 @@ from fej_slam_ros.core.calibration.from_truth import (
 from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.camera_errors import (
-    bearing_offsets, camera_noise, range_errors, without_systematic_errors)
+    bearing_offsets, camera_noise, range_errors, remaining_errors)
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
 from fej_slam_ros.datasets.mrclam.conversion import (
     ConversionOptions, range_increase, records, robot_name, STANDSTILL_VARIANCE)
@@ -131,7 +131,7 @@ def _with_observation_noise(
     usual = options.noise
     found, increases = [usual.landmarks, usual.robots], [*options.range_increases]
     for k, errors in enumerate((landmarks, robots)):
-        remaining = without_systematic_errors(errors, of_bearings, of_ranges)
+        remaining = remaining_errors(errors, of_bearings, of_ranges)
         if len(remaining.inliers().ranges) >= MIN_OBSERVATIONS:
             found[k] = camera_noise(remaining)
             increases[k] = range_increase(found[k].range)

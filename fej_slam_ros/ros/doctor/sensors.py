@@ -16,7 +16,7 @@ import numpy as np
 from fej_slam_ros.core.calibration.sensor_pose import fit_sensor, SensorFit
 from fej_slam_ros.core.calibration.shown_errors import MIN_SIGMAS
 from fej_slam_ros.core.calibration.team_records import TeamRecords
-from fej_slam_ros.core.ordering.corrected_observations import without_systematic_errors
+from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.doctor import systematic_errors
@@ -110,7 +110,7 @@ def check(
         yield from _scan_findings(
             robot, fits.get(robot), reversed_fits.get(robot), detector.reversed_beams)
         given, odometry = collector.robots[robot], team.odometry[robot]
-        scans = [without_systematic_errors(scan, given) for scan in team.scans[robot]]
+        scans = [without_observation_errors(scan, given) for scan in team.scans[robot]]
         fit = fit_sensor(odometry, scans)
         of_sensor = [] if fit is None else [
             *findings(f'{robot}/landmarks', fit, given.sensor_delay)]
@@ -157,7 +157,7 @@ def _posts(
             robot, _, kind = topic.rpartition('/')
             if kind == 'landmarks':
                 scan, _ = incoming_clouds.scan(found, robots[robot])
-                posts.append(without_systematic_errors(scan, robots[robot]))
+                posts.append(without_observation_errors(scan, robots[robot]))
     return posts
 
 

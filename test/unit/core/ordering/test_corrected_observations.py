@@ -6,7 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.ordering.corrected_observations import corrected, without_systematic_errors
+from fej_slam_ros.core.ordering.corrected_observations import corrected, without_observation_errors
 from fej_slam_ros.core.records import Observation, RobotObservation, RobotScan, Scan
 from fej_slam_ros.core.settings import NoiseSettings
 
@@ -25,7 +25,7 @@ def polar(r, bearing):
     (RobotScan('r', 5, (RobotObservation('q', polar(4.0, 0.7), R),)), 3.0)])
 def test_range_is_multiplied_and_bearing_reduced(scan, noise_scale):
     observation, = corrected(scan, WRONG).observations
-    unscaled, = without_systematic_errors(scan, WRONG).observations
+    unscaled, = without_observation_errors(scan, WRONG).observations
 
     for found, factor in (observation, noise_scale), (unscaled, 1.0):
         assert_allclose(found.z, polar(5.0, 0.6), rtol=1e-14)
