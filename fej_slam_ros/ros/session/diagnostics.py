@@ -13,7 +13,8 @@ import numpy as np
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.input_faults import Fault, faults, Level, RobotInput
+from fej_slam_ros.ros.session.faults import Fault, Level
+from fej_slam_ros.ros.session.input_faults import faults, RobotInput
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.node_conditions import also_published, NodeConditions
 from fej_slam_ros.ros.session.outputs import ConsumerT, Publication

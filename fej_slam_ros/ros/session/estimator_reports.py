@@ -16,7 +16,7 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.session.diagnostics import Diagnostics, percentile_values
-from fej_slam_ros.ros.session.input_faults import Level
+from fej_slam_ros.ros.session.faults import Level
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.run_log import Missing, RunLog

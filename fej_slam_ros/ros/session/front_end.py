@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import outgoing, RawMessage
-from fej_slam_ros.ros.session.input_faults import Level
+from fej_slam_ros.ros.session.faults import Level
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
 from fej_slam_ros.ros.topic_types import DIAGNOSTICS_TOPIC
 

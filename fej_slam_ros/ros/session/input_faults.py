@@ -10,12 +10,12 @@ observations to get into ``map``.
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.sentences import reasons_in_words
+from fej_slam_ros.ros.session.faults import Fault, Level
 from fej_slam_ros.ros.session.input_health import (
     InputHealth, MAX_SPEED_SIGMA, MIN_GATE_SAMPLE, RobotHealth, UNMOVED_MESSAGES,
     VARIANCE_MESSAGES)
@@ -57,22 +57,6 @@ MAX_PROCESSING = 10 * NS
 #: Multiple of the usual gap of the others' odometry up to which a delay is normal, so that a team
 #: whose robots all send slowly is none.
 NORMAL_LAG_RATIO = 3
-
-
-class Level(IntEnum):
-    """Levels of a status, as in ``diagnostic_msgs/msg/DiagnosticStatus``."""
-
-    OK = 0
-    WARN = 1
-    ERROR = 2
-    STALE = 3
-
-
-class Fault(NamedTuple):
-    """A condition of the input."""
-
-    level: Level  #: its level
-    message: str  #: sentence for users
 
 
 class TopicPublishers(NamedTuple):

@@ -15,7 +15,7 @@ from fej_slam_ros.core.peers.rendezvous_window import RendezvousResult
 from fej_slam_ros.core.sentences import reasons_in_words
 from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
-from fej_slam_ros.ros.session.input_faults import Fault, Level
+from fej_slam_ros.ros.session.faults import Fault, Level
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.run_log import Missing

@@ -9,7 +9,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.ros.messages import Message
 from fej_slam_ros.ros.session.diagnostics import Diagnostics, percentile_values
-from fej_slam_ros.ros.session.input_faults import Level
+from fej_slam_ros.ros.session.faults import Level
 from fej_slam_ros.ros.session.inputs import Inputs
 from fej_slam_ros.ros.session.log_lines import LogSeverity
 from fej_slam_ros.ros.session.run_log import Missing, RunLog
