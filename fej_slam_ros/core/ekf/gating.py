@@ -169,19 +169,6 @@ class Gate:
     def __init__(self, probability: float) -> None:
         self.threshold = chi_square_limit(2, 1.0 - probability)
 
-    def test(self, r: Array, S: Array) -> tuple[Flags, Array]:
-        """
-        Return which of m observations pass, and their squared Mahalanobis distances (m,).
-
-        Parameters
-        ----------
-        r : (m, 2) array, innovations
-        S : (m, 2, 2) array, the covariance of each
-
-        """
-        d2 = KERNEL.squared_distances(r, S)
-        return d2 <= self.threshold, d2
-
     def apply(
         self, observations: Sequence[Association], r: Array, S: Array,
         curved_distances: Callable[[], Array],
@@ -192,12 +179,14 @@ class Gate:
         Parameters
         ----------
         observations : m observations
-        r, S : their innovations as in `test`
+        r : (m, 2) array, their innovations
+        S : (m, 2, 2) array, the covariance of each
         curved_distances : function to their squared distances (m,) if errors lie on arcs, by which
             those that fail may pass, too
 
         """
-        passed, d2 = self.test(r, S)
+        d2 = KERNEL.squared_distances(r, S)
+        passed = d2 <= self.threshold
         if all(passed.tolist()):
             return GateResult(observations)
         on_arcs = curved_distances()

@@ -32,28 +32,54 @@ def without(scan, number):
     return replace(scan, observations=tuple(s for s in scan.observations if s.id != number))
 
 
+def scans(errors, seed=5):
+    """Return what a gate is given of observations with errors, by robot."""
+    rng = np.random.default_rng(seed)
+    robots = [Robot(name, None, 0) for name in errors for _ in errors[name]]
+    A = rng.normal(size=(len(robots), 2, 8))
+    R = np.array([[0.04, 0.01], [0.01, 0.02]])
+    S = 0.01 * A @ A.transpose(0, 2, 1) + R
+    observations = [
+        Association(robot, Landmark(('', k), Slot(0, 2), '', 0), Observation(k, np.zeros(2), R))
+        for k, robot in enumerate(robots)]
+    return observations, np.array([[e, -0.3 * e] for some in errors.values() for e in some]), S
+
+
+def on_no_arc(r):
+    """Return distances of m innovations that fit no error on an arc."""
+    return lambda: np.full(len(r), np.inf)
+
+
+def numbers(associations):
+    return [a.observation.id for a in associations]
+
+
 @pytest.mark.parametrize('probability', [0.5, 0.9, 0.999])
 def test_correct_observations_pass_with_the_configured_probability(probability):
     rng, m = np.random.default_rng(1), 5000
     S = np.array([[2.0, 0.8], [0.8, 1.0]])
     r = rng.multivariate_normal(np.zeros(2), S, size=m)
+    observations, _, _ = scans({f'r{k}': [0.0] for k in range(m)})
 
-    passed = sum(Gate(probability).test(one[None], S[None])[0].sum() for one in r)
+    gated = Gate(probability).apply(observations, r, np.tile(S, (m, 1, 1)), on_no_arc(r))
 
     low, high = binom.interval(0.9999, m, probability)
-    assert low <= passed <= high
+    assert low <= len(gated.accepted) <= high
 
 
 def test_each_observation_is_tested_by_its_own_covariance():
     rng = np.random.default_rng(2)
     A, r = rng.normal(size=(3, 2, 2)), rng.normal(size=(3, 2))
     S = A @ A.transpose(0, 2, 1)
+    observations, _, _ = scans({'r1': [0.0], 'r2': [0.0], 'r3': [0.0]})
 
-    passed, d2 = Gate(0.95).test(r, S)
+    gated = Gate(0.1).apply(observations, r, S, on_no_arc(r))
 
-    alone = [r[k] @ np.linalg.inv(S[k]) @ r[k] for k in range(3)]
-    assert_allclose(d2, alone, rtol=1e-9)
-    assert_array_equal(passed, np.array(alone) <= chi2.ppf(0.95, 2))
+    alone = np.array([r[k] @ np.linalg.inv(S[k]) @ r[k] for k in range(3)])
+    fails = alone > chi2.ppf(0.1, 2)
+    assert numbers(gated.accepted) == np.flatnonzero(~fails).tolist()
+    assert fails.tolist() == [True, False, True]
+    assert_allclose([g.d2 for g in gated.rejected], alone[fails], rtol=1e-9)
 
 
 def before_the_last_scan(kind='fej'):
@@ -138,28 +164,6 @@ def test_the_estimator_reports_each_rejected_observation():
     reported = rejection.robot, rejection.stamp, rejection.reason, rejection.id
     assert reported == ('r2', scan.stamp, RejectionReason.GATED, number)
     assert rejection.d2 > rejection.threshold == pytest.approx(chi2.ppf(0.999, 2))
-
-
-def scans(errors, seed=5):
-    """Return what a gate is given of observations with errors, by robot."""
-    rng = np.random.default_rng(seed)
-    robots = [Robot(name, None, 0) for name in errors for _ in errors[name]]
-    A = rng.normal(size=(len(robots), 2, 8))
-    R = np.array([[0.04, 0.01], [0.01, 0.02]])
-    S = 0.01 * A @ A.transpose(0, 2, 1) + R
-    observations = [
-        Association(robot, Landmark(('', k), Slot(0, 2), '', 0), Observation(k, np.zeros(2), R))
-        for k, robot in enumerate(robots)]
-    return observations, np.array([[e, -0.3 * e] for some in errors.values() for e in some]), S
-
-
-def on_no_arc(r):
-    """Return distances of m innovations that fit no error on an arc."""
-    return lambda: np.full(len(r), np.inf)
-
-
-def numbers(associations):
-    return [a.observation.id for a in associations]
 
 
 def test_noise_of_a_rejected_scan_is_inflated_to_the_median_of_chi_square():
