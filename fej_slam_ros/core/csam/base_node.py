@@ -91,7 +91,6 @@ class Alignment:
     #: chi_square, dof: weighted squared residual at the minimum, and its degrees of freedom
     chi_square: float
     dof: int
-    iterations: int  #: number of steps
     d2: Array  #: (m,) array, decrease of chi-square without each observation
 
 
@@ -240,14 +239,13 @@ class _Algorithm1:
     def solve(self, start: Array) -> Alignment:
         """Return the minimum from a start (3,) of the base node; errors of `gauss_newton`."""
         p, q, m = self._p, self._q, len(self._weights)
-        x, at, iterations = gauss_newton(
-            self, (p.poses, q.poses, start), MAX_ALIGNMENT_ITERATIONS)
+        x, at, _ = gauss_newton(self, (p.poses, q.poses, start), MAX_ALIGNMENT_ITERATIONS)
         pose, G = _base_node(p, q, *x)
         root = solve_triangular(at.R_sqrt, G[:, self._free].T, trans='T')
         # Of two observations both are needed, and neither can be tested.
         d2 = np.zeros(m) if m == MIN_ALIGNMENT_OBSERVATIONS else _decreases_of_chi_square(
             at.Q[-2 * m:].reshape(m, 2, -1), at.b[-2 * m:].reshape(m, 2))
-        return Alignment(BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, iterations, d2)
+        return Alignment(BaseNode(pose, root.T @ root), at.cost, 2 * m - 3, d2)
 
     def linearize(self, x: _Nodes) -> _LinearizedAlignment:
         """Return A' and b of eq. (25)."""
