@@ -8,22 +8,13 @@ one ID, and observations of a landmark that was deleted have none.
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 
-from fej_slam_ros.core.estimates import StepResult
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.matches import Matches, observation_key, ObservationKey
 from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
 from fej_slam_ros.core.records import PriorMap, Received, Record, Scan
 from fej_slam_ros.core.settings import Settings
-
-
-def steps(estimator: Estimator, records: Iterable[Received]) -> Iterator[StepResult]:
-    """Add all records and close; yield each step when it is finished."""
-    for record, received in records:
-        estimator.add(record, received)
-        yield from estimator.take()
-    yield from estimator.close()
 
 
 def match(
@@ -51,7 +42,7 @@ def match(
                 for before, after in zip(record.observations, corrected.observations))
         return record
 
-    for step in steps(estimator, ((noted(record), at) for record, at in records)):
+    for step in estimator.run_received((noted(record), at) for record, at in records):
         on_step()
         ids |= {
             received[observation_key(scan, o)]: o.id

@@ -25,7 +25,6 @@ from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseSc
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
-from fej_slam_ros.core.offline_matching import steps
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import (
     MAX_LINEAR_HEADING_SIGMA, Odometry, PriorMap, Received, Record, RobotScan, Scan)
@@ -76,7 +75,7 @@ def run(
     """Return an estimator after all records, and the rejected observations."""
     estimator = Estimator(settings, prior, innovations)
     rejected: list[Rejection] = []
-    for _ in steps(estimator, records):
+    for _ in estimator.run_received(records):
         rejected += estimator.statistics.rejections
         estimator.statistics.rejections.clear()
     return estimator, rejected

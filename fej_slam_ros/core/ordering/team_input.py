@@ -12,7 +12,7 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import (
-    Odometry, PosePrior, Record, RobotScan, Scan, Step, TrueLandmarks, TruePose)
+    Odometry, PosePrior, Received, Record, RobotScan, Scan, Step, TrueLandmarks, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
@@ -72,8 +72,12 @@ class TeamInput(ABC, Generic[ResultT]):
 
     def run(self, records: Iterable[Record]) -> Iterator[ResultT]:
         """Add all records and close; yield each result as soon as it is there."""
-        for record in records:
-            self.add(record)
+        return self.run_received((record, None) for record in records)
+
+    def run_received(self, records: Iterable[Received]) -> Iterator[ResultT]:
+        """Add all records, each with its time of reception [ns] or None, and close, as `run`."""
+        for record, received in records:
+            self.add(record, received)
             yield from self.take()
         yield from self.close()
 
