@@ -41,11 +41,15 @@ def add_bag_and_parameters(parser: ArgumentParser) -> None:
         help='ROS parameters (YAML), at least the list robots')
 
 
-def add_storage(parser: ArgumentParser) -> None:
-    """Add the storage format of an output bag."""
+def add_output_bag(
+    parser: ArgumentParser, what: str, replaced: str = 'an existing bag', required: bool = True
+) -> None:
+    """Add the output bag, its storage format, and the option to replace an earlier one."""
+    parser.add_argument('--output', type=Path, required=required, metavar='BAG', help=what)
     parser.add_argument(
         '--storage', choices=sorted(bags.STORAGES), default='mcap',
         help='format of the bag (default: %(default)s)')
+    parser.add_argument('--force', action='store_true', help=f'replace {replaced}')
 
 
 def output_folder(word: str) -> Path:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from fej_slam_ros.cli.arguments import (
-    add_bag_and_parameters, add_storage, parameter_help, refuse_input_as_output)
+    add_bag_and_parameters, add_output_bag, parameter_help, refuse_input_as_output)
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in
 from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.errors import UserError
@@ -24,10 +24,7 @@ def add_copy_arguments(
 ) -> None:
     """Add the bags and the parameters of a front end."""
     add_bag_and_parameters(parser)
-    parser.add_argument(
-        '--output', type=Path, required=True, metavar='BAG', help='folder of the copy')
-    add_storage(parser)
-    parser.add_argument('--force', action='store_true', help='replace an existing bag')
+    add_output_bag(parser, 'folder of the copy')
     add_topic_names(parser)
     parser.epilog = parameter_help(parameters)
 

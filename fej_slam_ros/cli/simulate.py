@@ -9,7 +9,7 @@ The same parameters give the same world, noise and ground truth.
 import argparse
 from pathlib import Path
 
-from fej_slam_ros.cli.arguments import add_storage, parameter_help
+from fej_slam_ros.cli.arguments import add_output_bag, parameter_help
 from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session import simulation
 
@@ -17,10 +17,7 @@ from fej_slam_ros.ros.session import simulation
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--params', type=Path, metavar='FILE', help='ROS parameters of the simulator (YAML)')
-    parser.add_argument(
-        '--output', type=Path, required=True, metavar='BAG', help='folder of the rosbag2')
-    add_storage(parser)
-    parser.add_argument('--force', action='store_true', help='replace an existing bag')
+    add_output_bag(parser, 'folder of the rosbag2')
     parser.epilog = parameter_help(simulation.PARAMETERS)
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from fej_slam_ros.atomic_files import write_text
-from fej_slam_ros.cli.arguments import add_storage
+from fej_slam_ros.cli.arguments import add_output_bag
 from fej_slam_ros.core.records import GpsFix, Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.output_lock import claimed
@@ -26,11 +26,7 @@ def add_paths(
 
 def add_output(parser: ArgumentParser, required: bool = True) -> None:
     """Add the output bag."""
-    parser.add_argument(
-        '--output', metavar='BAG', type=Path, required=required, help='folder of the bag')
-    add_storage(parser)
-    parser.add_argument(
-        '--force', action='store_true', help='replace an existing bag and its parameters')
+    add_output_bag(parser, 'folder of the bag', 'an existing bag and its parameters', required)
 
 
 def write(
