@@ -12,12 +12,12 @@ from tqdm import tqdm
 from fej_slam_ros.core.calibration.from_innovations import (
     comparable, counts, log_likelihood, most_likely_scales, most_likely_scales_of_robots, run,
     with_scales, with_scans_apart)
-from fej_slam_ros.core.calibration.from_truth import (
-    DOF, ERROR_WINDOW, Errors, noise_scales, normalized_errors)
+from fej_slam_ros.core.calibration.from_truth import DOF, ERROR_WINDOW, normalized_errors
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
 from fej_slam_ros.core.calibration.robot_scales import NoiseScale
+from fej_slam_ros.core.calibration.scales_of_errors import Errors, noise_scales
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_GAIN
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)

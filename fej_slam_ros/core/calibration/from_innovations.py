@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from scipy.optimize import minimize
 
-from fej_slam_ros.core.calibration.from_truth import OUTLIER_PROBABILITY
 from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
+from fej_slam_ros.core.calibration.scales_of_errors import OUTLIER_PROBABILITY
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor

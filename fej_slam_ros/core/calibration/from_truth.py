@@ -1,11 +1,11 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """
-Noise scale factors from errors against ground truth.
+Errors against ground truth, normalised by the stated noise.
 
 Errors are those over a window: of odometry, of the relative pose; of observations, the sum of the
 errors with which a robot observes one landmark or robot. Errors of wheels, gyros and detectors
-persist for longer than a message, so that single ones would give too small a factor.
+persist for longer than a message, so that single ones would give too small a noise scale.
 
 A landmark whose true position is not recorded is where it is observed on average from true poses.
 """
@@ -19,12 +19,11 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
+from fej_slam_ros.core.calibration.scales_of_errors import Errors, inliers
 from fej_slam_ros.core.calibration.team_records import NearTruth, TeamRecords
-from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.definiteness import is_definite
-from fej_slam_ros.core.geometry import Array, between, Flags, pose_difference, rotation, transform
+from fej_slam_ros.core.geometry import Array, between, pose_difference, rotation, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
 from fej_slam_ros.core.ordering.odometry_increments import increment
@@ -40,65 +39,6 @@ ERROR_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
 
 #: Minimum number of windows whose mean gives the position of a landmark.
 MIN_POSITION_WINDOWS = 5
-
-#: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
-#: tails of real noise, and so give factors that are too small.
-OUTLIER_PROBABILITY = 1e-6
-
-#: Largest standard error of a usable factor of a robot like the others, relative.
-MAX_OWN_ERROR = 0.05
-
-
-#: Normalised errors squared, e^T P^-1 e, of one kind by robot.
-Errors = Mapping[str, Sequence[float]]
-
-
-def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
-    """
-    Return the root mean error squared e^T P^-1 e per degree of freedom, without outliers.
-
-    Iterated from the median, until there are no further inliers. If most errors are exactly 0, as
-    of a simulated robot that stands, they determine no factor.
-
-    """
-    d2 = np.array(squared)
-    limit = _outlier_limit(dof)
-    variance, kept = float(np.median(d2)) / chi_square_limit(dof, 0.5), 0
-    while (count := int((d2 <= limit * variance).sum())) > kept:
-        variance, kept = float(d2[d2 <= limit * variance].mean()) / dof, count
-    if variance == 0.0:
-        return NoiseScale(1.0, math.inf, len(d2))
-    return NoiseScale(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
-
-
-def _outlier_limit(dof: int) -> float:
-    """Return the normalised error squared of noise of scale 1 beyond which it is an outlier."""
-    return chi_square_limit(dof, OUTLIER_PROBABILITY)
-
-
-def inliers(squared: Array) -> Flags:
-    """Return which normalised errors of points, squared, (n,), are no outliers."""
-    return squared <= _outlier_limit(2) * noise_scale(squared.tolist(), 2).scale ** 2
-
-
-def noise_scales(errors: Errors, dof: int) -> dict[str, NoiseScale]:
-    """
-    Return the factor of the team under '', and those of robots that have their own.
-
-    These have enough data, or differ from all others, whose factor is then that of the team.
-
-    """
-    own = {robot: noise_scale(squared, dof) for robot, squared in errors.items() if squared}
-    different = different_robots(own, lambda excluded: _without(errors, excluded, dof))
-    return {'': _without(errors, {*different}, dof)} | {
-        robot: found for robot, found in own.items()
-        if robot in different or found.relative_error <= MAX_OWN_ERROR}
-
-
-def _without(errors: Errors, excluded: set[str], dof: int) -> NoiseScale:
-    """Return the factor of all robots but the excluded ones."""
-    return noise_scale(
-        [d2 for robot, squared in errors.items() if robot not in excluded for d2 in squared], dof)
 
 
 def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str, Errors]:

@@ -25,8 +25,9 @@ import numpy as np
 
 from fej_slam_ros.core.calibration.from_innovations import (
     comparable, counts, LAST_STEP, run, with_scales)
-from fej_slam_ros.core.calibration.from_truth import ERROR_WINDOW, OUTLIER_PROBABILITY
+from fej_slam_ros.core.calibration.from_truth import ERROR_WINDOW
 from fej_slam_ros.core.calibration.robot_scales import NoiseScale
+from fej_slam_ros.core.calibration.scales_of_errors import OUTLIER_PROBABILITY
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import Association, StatisticsByRobot
 from fej_slam_ros.core.ekf.state import Robot

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fej_slam_ros.core.calibration.from_truth import inliers, noise_scale
+from fej_slam_ros.core.calibration.scales_of_errors import inliers, noise_scale
 from fej_slam_ros.core.geometry import Array, Flags
 
 Complex = NDArray[np.complex128]

@@ -9,8 +9,8 @@ from itertools import chain
 import numpy as np
 from scipy.optimize import nnls
 
-from fej_slam_ros.core.calibration.from_truth import (
-    DOF, noise_scale, normalized_errors)
+from fej_slam_ros.core.calibration.from_truth import DOF, normalized_errors
+from fej_slam_ros.core.calibration.scales_of_errors import noise_scale
 from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.camera_errors import (
