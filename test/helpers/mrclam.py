@@ -4,7 +4,7 @@
 
 from pathlib import Path
 
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions
 
 #: Some of the real bar codes: the codes of 8, 2 and 17 are IDs of other subjects.
 BARCODES = [(1, 5), (2, 14), (3, 41), (4, 32), (5, 23), (8, 7), (14, 61), (17, 16), (18, 9)]

@@ -25,8 +25,8 @@ from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, noise, run_settings
 from fej_slam_ros.datasets.mrclam.camera_errors import MAX_CAMERA_DELAY
 from fej_slam_ros.datasets.mrclam.command_errors import MAX_MOTION_DELAY
-from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, MAX_COMMAND_HOLD, range_increase, robot_name)
+from fej_slam_ros.datasets.mrclam.conversion import MAX_COMMAND_HOLD, robot_name
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions, range_increase
 from fej_slam_ros.datasets.mrclam.files import (
     MrclamSet, REPLACED_COMMAND, ROBOT_SUBJECTS, RobotLog)
 from fej_slam_ros.errors import UsageError, UserError

@@ -6,7 +6,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from fej_slam_ros.datasets.mrclam import command_errors, observation_errors
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
+from fej_slam_ros.datasets.mrclam.conversion import robot_name
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.tables import text_table
 

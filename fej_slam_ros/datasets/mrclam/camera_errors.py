@@ -11,7 +11,8 @@ from scipy.optimize import minimize_scalar
 
 from fej_slam_ros.core.calibration.shown_errors import MIN_GAIN
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.datasets.mrclam.conversion import CameraNoise, ConversionOptions, OFFSET_SIGMA
+from fej_slam_ros.datasets.mrclam.conversion_options import (
+    CameraNoise, ConversionOptions, OFFSET_SIGMA)
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import (
     observation_errors, ObservationErrors, rms)

@@ -16,8 +16,9 @@ from fej_slam_ros.core.geometry import Array, poses_at, Stamps, wrap_all
 from fej_slam_ros.core.models import h_pose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, increment_variances, MAX_COMMAND_HOLD, odometry, slowing_rates, speeds,
-    sums_between, unknown_motion)
+    increment_variances, MAX_COMMAND_HOLD, odometry, slowing_rates, speeds, sums_between,
+    unknown_motion)
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, RobotLog
 from fej_slam_ros.datasets.mrclam.motion_capture import truth_sigma
 from fej_slam_ros.datasets.mrclam.observation_errors import rms, true_poses

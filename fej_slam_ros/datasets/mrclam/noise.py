@@ -16,8 +16,8 @@ from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observat
 from fej_slam_ros.datasets.mrclam.camera_errors import (
     bearing_offsets, camera_noise, range_errors, remaining_errors)
 from fej_slam_ros.datasets.mrclam.command_errors import increments, own_turns, WindowIncrements
-from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, range_increase, records, robot_name, STANDSTILL_VARIANCE)
+from fej_slam_ros.datasets.mrclam.conversion import records, robot_name, STANDSTILL_VARIANCE
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions, range_increase
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.observation_errors import errors_near_truth, ObservationErrors
 from fej_slam_ros.datasets.mrclam.run_settings import settings

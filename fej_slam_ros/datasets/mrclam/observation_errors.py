@@ -18,7 +18,8 @@ from fej_slam_ros.core.geometry import (
     Array, between, compose, Flags, interpolated_all, poses_at, Stamps, wrap_all)
 from fej_slam_ros.core.models import h
 from fej_slam_ros.core.records import NS
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, odometry
+from fej_slam_ros.datasets.mrclam.conversion import odometry
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.series import Series
 

@@ -16,8 +16,8 @@ from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, poses_at
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.mrclam.conversion import (
-    bearing_offset, ConversionOptions, increment_variances, observations, odometry,
-    odometry_stamps, robot_name, sums_between)
+    increment_variances, observations, odometry, odometry_stamps, robot_name, sums_between)
+from fej_slam_ros.datasets.mrclam.conversion_options import bearing_offset, ConversionOptions
 from fej_slam_ros.datasets.mrclam.files import MrclamSet, ROBOT_SUBJECTS, RobotLog
 from fej_slam_ros.datasets.mrclam.motion_capture import truth_sigma
 from fej_slam_ros.datasets.series import Series

@@ -26,7 +26,8 @@ from fej_slam_ros.core.geometry import (
 from fej_slam_ros.core.records import Record
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets.mrclam import conversion, files, run_settings
-from fej_slam_ros.datasets.mrclam.conversion import ConversionOptions, robot_name
+from fej_slam_ros.datasets.mrclam.conversion import robot_name
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions
 from fej_slam_ros.datasets.mrclam.files import MrclamSet
 from fej_slam_ros.datasets.mrclam.noise import best_options
 from fej_slam_ros.datasets.series import Series

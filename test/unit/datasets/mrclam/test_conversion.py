@@ -12,8 +12,8 @@ from scipy.stats import norm
 
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
-from fej_slam_ros.datasets.mrclam.conversion import (
-    CameraNoise, Noise, range_increase, records)
+from fej_slam_ros.datasets.mrclam.conversion import records
+from fej_slam_ros.datasets.mrclam.conversion_options import CameraNoise, Noise, range_increase
 from fej_slam_ros.datasets.mrclam.files import read
 from helpers.mrclam import EXACT, STRAIGHT, write_set
 

@@ -13,8 +13,8 @@ import pytest
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.command_errors import increments
-from fej_slam_ros.datasets.mrclam.conversion import (
-    ConversionOptions, Noise, observations as observations_used, speeds)
+from fej_slam_ros.datasets.mrclam.conversion import observations as observations_used, speeds
+from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions, Noise
 from fej_slam_ros.datasets.mrclam.files import read
 from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable
 from fej_slam_ros.datasets.mrclam.observation_errors import error_statistics, observation_errors
