@@ -13,7 +13,7 @@ import sys
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation
+from fej_slam_ros.core.consistency import NisMonitor
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan, LandmarkManager
 from fej_slam_ros.core.data_association.wrong_landmarks import review_landmarks
 from fej_slam_ros.core.ekf.filter import Innovation, NO_INNOVATION
@@ -32,6 +32,7 @@ from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.new_landmarks import (
     MAX_NEW_WITHOUT_ID, room_for_landmarks, start_landmarks)
 from fej_slam_ros.core.ordering.team_input import TeamInput
+from fej_slam_ros.core.pose_evaluation import PoseEvaluation
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
     AnyScan, LandmarkKey, NO_ID, PriorMap, Scan, Step, TruePose)

@@ -22,7 +22,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import NisMonitor, PoseEvaluation, PoseScore
+from fej_slam_ros.core.consistency import NisMonitor
 from fej_slam_ros.core.csam.base_node import BaseNode
 from fej_slam_ros.core.csam.keyframes import Keyframes
 from fej_slam_ros.core.csam.map_merging import ScaledJoin
@@ -58,6 +58,7 @@ from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.ordering.record_memory import RecordMemory
 from fej_slam_ros.core.ordering.robot_queue import ReleaseKey, RobotQueue
 from fej_slam_ros.core.ordering.sequencer import Sequencer
+from fej_slam_ros.core.pose_evaluation import PoseEvaluation, PoseScore
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
     Motion, Observation, Odometry, PosePrior, RendezvousKey, RobotObservation, RobotScan, Scan,

@@ -43,8 +43,8 @@ BASIC = (
     + ' '.join(f'fej_slam_ros.core.{module}' for module in (
         'chi_square', 'consistency', 'definiteness', 'estimates', 'frame_names', 'gauss_newton',
         'geometry', 'ground_truth', 'join_failure', 'matches',
-        'models', 'motion_models', 'parameter_kinds', 'pieces', 'point_consensus', 'records',
-        'rejections', 'sentences', 'settings'))
+        'models', 'motion_models', 'parameter_kinds', 'pieces', 'point_consensus',
+        'pose_evaluation', 'records', 'rejections', 'sentences', 'settings'))
 )
 NO_SIDE_EFFECTS = (
     'builtins.open builtins.print io logging os pathlib socket subprocess '

@@ -14,7 +14,6 @@ from itertools import permutations
 
 import numpy as np
 
-from fej_slam_ros.core.consistency import PoseScore
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
@@ -26,6 +25,7 @@ from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.core.matches import Matches
 from fej_slam_ros.core.ordering.team_input import TeamInput
+from fej_slam_ros.core.pose_evaluation import PoseScore
 from fej_slam_ros.core.records import (
     is_too_uncertain, Motion, NO_ID, Observation, Odometry, PosePrior, Record, RobotObservation,
     RobotScan, Scan, Step)

@@ -12,12 +12,13 @@ import numpy as np
 import scipy
 
 from fej_slam_ros import __version__
-from fej_slam_ros.core.consistency import nees_per_dof, PoseScore
+from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.frame_names import MAP, own_frame
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.pose_evaluation import PoseScore
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.parameters import as_parameters, RunSettings
 
