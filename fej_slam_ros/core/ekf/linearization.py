@@ -29,7 +29,7 @@ TwoArrays = tuple[Array, Array]
 
 #: Standard deviation [rad] of a robot's heading change since it last took part in an update,
 #: beyond which its landmarks no longer rotate with it.
-MAX_HEADING_DRIFT = 0.1
+MAX_HEADING_DRIFT = 0.03
 
 
 class Linearization:
@@ -106,7 +106,7 @@ class Linearization:
         return poses | known_poses, points | known
 
     def joining_points(
-        self, state: JointState, shared: Variables, new: Variables, carried: Array
+        self, state: JointState, shared: Variables, new: Variables, carried: Array, first: Array
     ) -> TwoArrays:
         """
         Return the points at which the joining of another frame is linearised.
@@ -116,7 +116,8 @@ class Linearization:
         state : the state that the other frame joins
         shared : variables of the state that are also in the other frame
         new : variables that are only in the other frame
-        carried : (m,) array, the estimates of the new variables in the frame of the state
+        carried, first : (m,) arrays, the estimates and the first estimates of the new variables in
+            the frame of the state
 
         Returns
         -------
@@ -191,6 +192,12 @@ class FirstEstimates(Linearization):
         """Return the first estimates, eqs. (23) and (24)."""
         return state.x_first.take(columns)
 
+    def joining_points(
+        self, state: JointState, shared: Variables, new: Variables, carried: Array, first: Array
+    ) -> TwoArrays:
+        """Return the first estimates of shared and new variables."""
+        return super().joining_points(state, shared, new, first, first)
+
     def renew_points(self, state: JointState, columns: Indices) -> bool:
         """Renew first estimates that have nothing to do with the estimates any more."""
         points = first_estimates.far_points(state, columns)
@@ -238,11 +245,12 @@ class Ideal(Linearization):
             {key: self._truth.landmark(key) for key in points})
 
     def joining_points(
-        self, state: JointState, shared: Variables, new: Variables, carried: Array
+        self, state: JointState, shared: Variables, new: Variables, carried: Array, first: Array
     ) -> TwoArrays:
         """Return the true values of shared and new variables."""
-        true_new = [np.empty(0), *(self._value(state, variable) for variable in new)]
-        return super().joining_points(state, shared, new, np.concatenate(true_new))
+        true_new = np.concatenate(
+            [np.empty(0), *(self._value(state, variable) for variable in new)])
+        return super().joining_points(state, shared, new, true_new, first)
 
     def _value(self, state: JointState, variable: Variable) -> Array:
         if isinstance(variable, Robot):

@@ -27,25 +27,32 @@ def in_frame_of(state: JointState, robot: Robot, linearization: Linearization) -
 
     """
     variables = state.variables()
-    pose = state.estimate(robot)
-    x, J = [np.empty(0)], np.zeros((len(state.x_hat), len(state.x_hat)))
+    J = np.zeros((len(state.x_hat), len(state.x_hat)))
     columns = observation_columns([robot] * len(variables), variables)
     points = linearization.observation_points(state, columns)
     for variable, H in zip(variables, KERNEL.H(points)):
-        slot, value = variable.slot, state.estimate(variable)
+        slot = variable.slot
         position, heading = slice(slot.start, slot.start + 2), slice(slot.start + 2, slot.stop)
         J[position, position] = H[:, 3:]
         J[position, robot.slot.start:robot.slot.stop] += H[:, :3]
         if isinstance(variable, Robot):
-            x.append(between(pose, value))
             J[heading, heading] = 1.0
             J[heading, robot.slot.start + 2] -= 1.0
-        else:
-            x.append(models.h(pose[None], value[None])[0])
     # J has five entries per row; for a large map the dense product would take seconds.
     sparse = csr_array(J)
     P: Array = sparse @ (sparse @ state.marginal(variables)).T
     covariance = Covariance()
     covariance.insert(P)
-    x_hat = np.concatenate(x)
-    return JointState(variables, x_hat, x_hat.copy(), covariance)
+    x_hat, x_first = (
+        np.concatenate([np.empty(0), *(
+            _in_frame(value_of(robot), value_of(variable)) for variable in variables)])
+        for value_of in (state.estimate, state.first_estimate))
+    return JointState(variables, x_hat, x_first, covariance)
+
+
+def _in_frame(pose: Array, value: Array) -> Array:
+    """Return a pose (3,) or point (2,) in the frame of a pose (3,)."""
+    if len(value) == len(pose):
+        return between(pose, value)
+    local: Array = models.h(pose[None], value[None])[0]
+    return local

@@ -32,14 +32,16 @@ def joined_state(
     Return the joint state of team and group in the team's frame, given the group's pose g (3,).
 
     Shared variables keep the team's slots and first estimates. The first estimate of a new
-    variable is the group's estimate transformed by g; its dependence on g is linearised there.
-    Neither state is changed.
+    variable is that of the group transformed by g: at others, the covariance of the group would
+    make a rotation of all its variables observable by each other. Neither state is changed.
 
     """
     ours, theirs = map(StackedVariables, shared_variables(team, group))
     new = StackedVariables([v for v in group.variables() if v not in theirs.variables])
-    first = new.carried(g, group.estimates_of(new.indices))
-    at, new_at = linearization.joining_points(team, ours.variables, new.variables, first)
+    carried = new.carried(g, group.estimates_of(new.indices))
+    first = new.carried(g, group.x_first[new.indices])
+    at, new_at = linearization.joining_points(
+        team, ours.variables, new.variables, carried, first)
     # The conditions are A dz - D dg = r, for z = [x_T, x_L] and A = [E_T, -C E_L], where E_T and
     # E_L select the shared variables and C turns them.
     x_carried = ours.carried(g, group.estimates_of(theirs.indices))
@@ -61,7 +63,7 @@ def joined_state(
     pause()
     state = _combined(team, new.variables, x_hat, x_first, np.block([
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
-    before = np.concatenate([team.estimates(), first])
+    before = np.concatenate([team.estimates(), carried])
     linearization.transport_errors(state, before, state.x_hat - before)
     # The rendezvous points of the two frames are no longer needed.
     marginalize(

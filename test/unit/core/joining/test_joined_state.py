@@ -98,7 +98,7 @@ def test_first_estimates_of_the_team_stay_and_new_ones_are_transformed():
 
     assert_array_equal(state.x_first[:len(team.x_first)], team.x_first)
     lone = state.landmarks['', 5]
-    expected = g[:2] + turn(g[2]) @ group.estimate(group.landmarks['', 5])
+    expected = g[:2] + turn(g[2]) @ group.first_estimate(group.landmarks['', 5])
     assert_allclose(state.first_estimate(lone), expected, atol=1e-12)
     assert lone.owner == 'r2'
     assert state.robots['r2'].stamp == 5

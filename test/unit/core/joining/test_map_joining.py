@@ -3,8 +3,8 @@
 """
 Maps join if what they share fits and determines the heading, and join consistently.
 
-Changes that lose observability fail the first test: columns at J C f of the group's landmarks, and
-first estimates transformed instead of estimates. In the invariant filter, no transport of errors,
+Changes that lose observability fail the first test: columns at J C f of the group's landmarks, or
+at estimates where first estimates are carried. In the invariant filter, no transport of errors,
 or one from first estimates, fails it, and the first test of test_joined_state.
 """
 
