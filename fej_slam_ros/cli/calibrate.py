@@ -8,6 +8,9 @@ estimated from ground truth over 5 s, or else from landmarks that are observed a
 So are those of its observations, observation_range_scale and observation_bearing_bias; without
 ground truth, the former by the map that robots share, the latter by the direction of travel.
 
+The growth of the noise of observations with the range, observation_noise_growth, is that of the
+largest likelihood of their errors, or of innovations.
+
 The noise scales are factors on standard deviations: odometry_noise_scale, landmark_noise_scale and
 robot_noise_scale. With ground truth they are estimated from errors over 5 s of odometry and of
 observations; a robot with enough data has its own scale. The other scales are those at which the
@@ -234,6 +237,11 @@ def _factor_table(estimates: Estimates) -> str:
 
 def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
     estimates, amounts = found.estimates, counts(found.matched.records)
+    if found.growth:
+        yield (
+            f'noise of observations grows with the range: observation_noise_growth'
+            f' {found.growth:.3g}, so that standard deviations at 10 m are'
+            f' {(1.0 + 10.0 * found.growth) / (1.0 + found.growth):.1f} times those at 1 m')
     for kind in DOF:
         if amounts[kind] and not is_known(estimates, kind):
             yield (

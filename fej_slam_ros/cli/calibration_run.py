@@ -12,7 +12,9 @@ from tqdm import tqdm
 from fej_slam_ros.core.calibration.from_innovations import (
     comparable, counts, log_likelihood, most_likely_scales, most_likely_scales_of_robots, run,
     with_scales, with_scans_apart)
-from fej_slam_ros.core.calibration.from_truth import DOF, ERROR_WINDOW, normalized_errors
+from fej_slam_ros.core.calibration.from_truth import (
+    DOF, ERROR_WINDOW, growth_by_truth, normalized_errors)
+from fej_slam_ros.core.calibration.innovation_ranges import growth_by_innovations
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
     are_without_ids, MatchedRecords, with_matched_ids)
@@ -57,6 +59,7 @@ class Calibration(NamedTuple):
 
     values: Mapping[str, object]  #: the corrected parameters
     errors: SystematicErrors
+    growth: float | None  #: of the noise of observations with the range [1/m], None if unknown
     estimates: Estimates
     matched: MatchedRecords
 
@@ -99,10 +102,19 @@ def _calibrated_by(
         beginning = _beginning(matched.records, arguments.seconds)
         with tqdm(desc='ranges', unit='run', disable=None) as bar:
             errors = _with_errors_of_ranges(errors, values, beginning, bar.update)
-    corrected = _with_systematic_errors(values, errors)
-    estimates = _estimate(
-        arguments, corrected, with_corrected_headings(matched.records, errors.headings))
-    return Calibration(_with_noise_scales(corrected, estimates), errors, estimates, matched)
+    records = with_corrected_headings(matched.records, errors.headings)
+    corrected, growth = _with_systematic_errors(values, errors), None
+    if arguments.source != 'innovations':
+        growth = growth_by_truth([record for record, _ in records], parsed(corrected).estimation)
+        corrected = _with_noise_growth(corrected, growth)
+    estimates = _estimate(arguments, corrected, records)
+    if growth is None and arguments.source != 'truth':
+        growth = _growth_by_innovations(arguments, corrected, estimates, records)
+        if growth is not None and _with_noise_growth(corrected, growth) != corrected:
+            corrected = _with_noise_growth(corrected, growth)
+            estimates = _estimate(arguments, corrected, records)
+    return Calibration(
+        _with_noise_scales(corrected, estimates), errors, growth, estimates, matched)
 
 
 def parsed(values: Mapping[str, object]) -> parameters.RunSettings:
@@ -160,6 +172,28 @@ def _with_systematic_errors(
                 corrected[f'{robot.name}.{parameter}'] = (
                     [*value] if isinstance(value, tuple) else value)
     return corrected
+
+
+def _growth_by_innovations(
+    arguments: argparse.Namespace, values: Mapping[str, object], estimates: Estimates,
+    records: Sequence[Received],
+) -> float | None:
+    """Return the growth of noise with the range under scales that were found without it."""
+    settings = parsed(_with_noise_scales(values, estimates))
+    beginning = _beginning(records, arguments.seconds)
+    with tqdm(desc='growth', unit='run', disable=None) as bar:
+        return growth_by_innovations(
+            settings.estimation, beginning, prior_map(settings), bar.update)
+
+
+def _with_noise_growth(values: Mapping[str, object], growth: float | None) -> dict[str, object]:
+    """Return parameters with a growth of noise for all robots, unless they have it already."""
+    robots = parsed(values).estimation.robots
+    if growth is None or all(robot.observation_noise_growth == growth for robot in robots):
+        return dict(values)
+    name = 'observation_noise_growth'
+    others = {key: x for key, x in values.items() if key.split('.')[-1] != name}
+    return {**others, name: float(f'{growth:.3g}')}
 
 
 def _rounded(errors: ErrorEstimate) -> list[float]:

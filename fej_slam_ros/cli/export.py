@@ -39,7 +39,8 @@ IN_TABLES = ('sensor_pose', 'sensor_delay')
 IN_GRAPH = (
     *IN_TABLES, 'use_odometry_covariance', 'odometry_sigma', 'landmark_sigma', 'odometry_scale',
     'odometry_turn_bias', 'observation_range_scale', 'observation_bearing_bias',
-    'odometry_noise_scale', 'landmark_noise_scale', 'robot_noise_scale')
+    'observation_noise_growth', 'odometry_noise_scale', 'landmark_noise_scale',
+    'robot_noise_scale')
 
 
 class Exported(NamedTuple):

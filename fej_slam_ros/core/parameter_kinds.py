@@ -90,6 +90,9 @@ POINT_SIGMA = numbers('two numbers [x, y]', replace(SIGMA, low=1e-6), (2,))
 #: Largest noise scale, and inverse of the smallest.
 MAX_NOISE_SCALE = 1e3
 NOISE_SCALE = numbers('a number', Range(1.0 / MAX_NOISE_SCALE, MAX_NOISE_SCALE))
+#: Largest growth of noise [1/m]; noise proportional to the range has no finite one.
+MAX_NOISE_GROWTH = 10.0
+NOISE_GROWTH = numbers('a number', Range(0, MAX_NOISE_GROWTH))
 ODOMETRY_SCALE = numbers('two numbers [distance, turn]', Range(0.1, 10), (2,))
 TURN_BIAS = numbers('a number', Range(-10, 10))
 RANGE_SCALE = numbers('a number', Range(0.1, 10))

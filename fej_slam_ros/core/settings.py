@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, fields, KW_ONLY
 import numpy as np
 
 from fej_slam_ros.core.parameter_kinds import (
-    BEARING_BIAS, FLAG, FRAME, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE, one_of,
-    Parameter, parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE, PROBABILITY,
-    Range, RANGE_SCALE, ROBOT_ID, ROBOT_NAMES, SENSOR_DELAY, TEXT, TURN_BIAS)
+    BEARING_BIAS, FLAG, FRAME, NOISE_GROWTH, NOISE_SCALE, NOT_NEGATIVE, numbers, ODOMETRY_SCALE,
+    one_of, Parameter, parameter, parameters_of, POINT_SIGMA, POSE, POSE_SIGMA, POSITIVE,
+    PROBABILITY, Range, RANGE_SCALE, ROBOT_ID, ROBOT_NAMES, SENSOR_DELAY, TEXT, TURN_BIAS)
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.errors import UsageError
 
@@ -45,6 +45,10 @@ class NoiseSettings:
     observation_bearing_bias: float = parameter(
         0.0, BEARING_BIAS, 'angle subtracted from bearings of landmarks and robots', 'rad',
         changeable=True)
+    observation_noise_growth: float = parameter(
+        0.0, NOISE_GROWTH,
+        'increase of the standard deviations of observations with the range: they are multiplied'
+        ' by 1 + growth * range', '1/m', changeable=True)
     odometry_noise_scale: float = parameter(
         1.0, NOISE_SCALE,
         'factor on the standard deviations of odometry, received or from odometry_sigma',

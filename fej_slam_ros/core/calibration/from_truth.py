@@ -12,6 +12,7 @@ A landmark whose true position is not recorded is where it is observed on averag
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain, compress, pairwise
 import math
 from typing import NamedTuple
@@ -19,16 +20,18 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.calibration.noise_growth import ErrorAtRange, noise_growth
 from fej_slam_ros.core.calibration.scales_of_errors import Errors, inliers
 from fej_slam_ros.core.calibration.team_records import NearTruth, TeamRecords
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.definiteness import is_definite
 from fej_slam_ros.core.geometry import Array, between, pose_difference, rotation, transform
 from fej_slam_ros.core.ground_truth import RecordedTruth
-from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
+from fej_slam_ros.core.ordering.corrected_observations import (
+    with_noise, without_observation_errors)
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
-    NS, Observation, Odometry, Record, RobotScan, Scan)
+    NS, Observation, Odometry, Record, RobotScan, Scan, ScanT)
 from fej_slam_ros.core.settings import NoiseSettings, Settings
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
@@ -45,32 +48,59 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     """
     Return the normalised errors squared of each kind of noise with ground truth.
 
-    The settings give the noise of measurements without covariance, and systematic errors; noise
-    scales are not used.
+    The settings give the noise of measurements without covariance, its growth, and systematic
+    errors; noise scales are not used.
 
     """
     team = TeamRecords(records, [robot.name for robot in settings.robots])
+    errors: dict[str, Errors] = {'odometry': {
+        robot.name: [*_odometry_errors(team.odometry[robot.name], team.truth, robot)]
+        for robot in settings.robots}}
+    errors |= {
+        kind: {robot: [error.d2 for error in of_robot] for robot, of_robot in of_kind.items()}
+        for kind, of_kind in _errors_of_observations(team, settings).items()}
+    return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
+
+
+def growth_by_truth(records: Iterable[Record], settings: Settings) -> float | None:
+    """
+    Return the growth of the noise of observations [1/m], as of `noise_growth`.
+
+    Settings as of `normalized_errors`, but for the growth that they have.
+
+    """
+    team = TeamRecords(records, [robot.name for robot in settings.robots])
+    constant = replace(settings, robots=tuple(
+        replace(robot, observation_noise_growth=0.0) for robot in settings.robots))
+    return noise_growth([
+        [*chain.from_iterable(of_kind.values())]
+        for of_kind in _errors_of_observations(team, constant).values()])
+
+
+def _errors_of_observations(
+    team: TeamRecords, settings: Settings
+) -> dict[str, dict[str, list[ErrorAtRange]]]:
+    """Return the errors of windows, by kind of observations and robot."""
+    def errors_of(scans: Iterable[ScanT], growth: float) -> list[ErrorAtRange]:
+        return [*_in_windows([
+            error for scan in scans for error in _observation_errors(
+                with_noise(scan, 1.0, growth), landmarks, team.near)])]
+
+    robots = {robot.name: robot for robot in settings.robots}
     scans = {
-        robot.name: [without_observation_errors(scan, robot) for scan in team.scans[robot.name]]
-        for robot in settings.robots}
+        name: [without_observation_errors(scan, robot) for scan in team.scans[name]]
+        for name, robot in robots.items()}
     landmarks = _landmark_positions(
         chain.from_iterable(scans.values()), team.truth, team.near, settings.shared_landmark_ids)
-
-    def observation_errors(of_kind: Iterable[Scan | RobotScan]) -> list[float]:
-        return [*_in_windows([
-            e for scan in of_kind for e in _observation_errors(scan, landmarks, team.near)])]
-
-    errors = {
-        'odometry': {
-            robot.name: [*_odometry_errors(team.odometry[robot.name], team.truth, robot)]
-            for robot in settings.robots},
+    return {
         'landmark': {
-            robot.name: observation_errors(scans[robot.name]) for robot in settings.robots},
+            name: errors_of(scans[name], robot.observation_noise_growth)
+            for name, robot in robots.items()},
         'robot': {
-            robot.name: observation_errors(
-                without_observation_errors(scan, robot) for scan in team.robot_scans[robot.name])
-            for robot in settings.robots}}
-    return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
+            name: errors_of(
+                (without_observation_errors(scan, robot) for scan in team.robot_scans[name]),
+                robot.observation_noise_growth)
+            for name, robot in robots.items()}}
 
 
 def _odometry_errors(
@@ -159,6 +189,7 @@ class ObservationError(NamedTuple):
     stamp: int  #: [ns]
     e: Array  #: (2,) [m]
     R: Array  #: stated covariance (2, 2) [m^2]
+    range: float  #: [m]
 
 
 def _observation_errors(
@@ -179,11 +210,12 @@ def _observation_errors(
             position = None if other is None else _Position(other[:2], 1.0)
         if position is not None:
             e = o.z - models.h(pose[None], position.point[None])[0]
-            yield ObservationError(observed, scan.stamp, position.scale * e, o.R)
+            yield ObservationError(
+                observed, scan.stamp, position.scale * e, o.R, math.hypot(*o.z))
 
 
-def _in_windows(errors: Sequence[ObservationError]) -> Iterator[float]:
-    """Yield the sum of the errors of each window, normalised and squared, without outliers."""
+def _in_windows(errors: Sequence[ObservationError]) -> Iterator[ErrorAtRange]:
+    """Yield the sum of the errors of each window, without outliers."""
     if not errors:
         return
     kept = inliers(np.array([float(nees(error.e, error.R)) for error in errors]))
@@ -196,4 +228,5 @@ def _in_windows(errors: Sequence[ObservationError]) -> Iterator[float]:
     for window in chain.from_iterable(windows.values()):
         e = np.sum([error.e for error in window], axis=0)
         R = np.sum([error.R for error in window], axis=0)
-        yield float(nees(e, R))
+        ranges = [error.range for error in window]
+        yield ErrorAtRange(sum(ranges) / len(ranges), float(nees(e, R)))

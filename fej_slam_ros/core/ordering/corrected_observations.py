@@ -3,6 +3,7 @@
 """Observations of landmarks and robots without the errors that the parameters of a robot state."""
 
 from dataclasses import replace
+import math
 
 from fej_slam_ros.core.geometry import rotation
 from fej_slam_ros.core.records import AnyScan, RobotScan, ScanT
@@ -10,7 +11,7 @@ from fej_slam_ros.core.settings import NoiseSettings
 
 
 def without_observation_errors(scan: ScanT, settings: NoiseSettings) -> ScanT:
-    """Return a scan with corrected ranges and bearings; no noise scale is applied."""
+    """Return a scan with corrected ranges and bearings; its noise is not corrected."""
     if settings.observation_range_scale == 1.0 and settings.observation_bearing_bias == 0.0:
         return scan
     A = settings.observation_range_scale * rotation(-settings.observation_bearing_bias)
@@ -19,15 +20,22 @@ def without_observation_errors(scan: ScanT, settings: NoiseSettings) -> ScanT:
 
 
 def corrected(scan: AnyScan, settings: NoiseSettings) -> AnyScan:
-    """Return a scan with corrected ranges, bearings, and covariances by the noise scale."""
+    """Return a scan with corrected ranges, bearings, and covariances."""
     if isinstance(scan, RobotScan):
-        return _scaled(without_observation_errors(scan, settings), settings.robot_noise_scale)
-    return _scaled(without_observation_errors(scan, settings), settings.landmark_noise_scale)
+        return _corrected(scan, settings, settings.robot_noise_scale)
+    return _corrected(scan, settings, settings.landmark_noise_scale)
 
 
-def _scaled(scan: ScanT, scale: float) -> ScanT:
-    """Return a scan with all standard deviations multiplied by a factor."""
-    if scale == 1.0:
+def _corrected(scan: ScanT, settings: NoiseSettings, scale: float) -> ScanT:
+    """Return a scan with corrected ranges, bearings, and covariances by a noise scale."""
+    unbiased = without_observation_errors(scan, settings)
+    return with_noise(unbiased, scale, settings.observation_noise_growth)
+
+
+def with_noise(scan: ScanT, scale: float, growth: float) -> ScanT:
+    """Return a scan with standard deviations times scale * (1 + growth * range)."""
+    if scale == 1.0 and growth == 0.0:
         return scan
     return replace(scan, observations=tuple(
-        replace(o, R=scale ** 2 * o.R) for o in scan.observations))
+        replace(o, R=(scale * (1.0 + growth * math.hypot(*o.z))) ** 2 * o.R)
+        for o in scan.observations))

@@ -22,7 +22,7 @@ MAX_BLOCK_RECORDS, MAX_RECORD_OBSERVATIONS = 64, 8
 MAX_INFORMATION = 16
 #: Standard deviations of odometry and of landmarks, the three scales of noise, and the systematic
 #: errors of `NoiseSettings`; then `TeamParameters`.
-_FIRST_BLOCK = struct.Struct('<13d?d')
+_FIRST_BLOCK = struct.Struct('<14d?d')
 MAX_NOISE, MAX_KEYFRAME_DISTANCE = 1e6, 1e9
 #: Number of records after which the size of the block is computed.
 CHECK_EVERY = 8
@@ -309,7 +309,8 @@ def _first_block(noise: NoiseSettings, parameters: TeamParameters) -> bytes:
     return _FIRST_BLOCK.pack(
         *noise.odometry_sigma, *noise.landmark_sigma, noise.odometry_noise_scale,
         noise.landmark_noise_scale, noise.robot_noise_scale, *noise.odometry_scale,
-        noise.observation_range_scale, noise.odometry_turn_bias, noise.observation_bearing_bias,
+        noise.observation_range_scale, noise.observation_noise_growth, noise.odometry_turn_bias,
+        noise.observation_bearing_bias,
         *parameters)
 
 
@@ -317,10 +318,11 @@ def _read_first_block(content: bytes) -> tuple[NoiseSettings, TeamParameters]:
     """Return the noise and the parameters in the first block, or raise a BadBlockError."""
     if len(content) != _FIRST_BLOCK.size:
         raise BadBlockError('its size is not that of a first block')
-    *positive, turn_bias, bearing_bias, shared_landmark_ids, keyframe_distance = (
+    *positive, growth, turn_bias, bearing_bias, shared_landmark_ids, keyframe_distance = (
         _FIRST_BLOCK.unpack(content))
     if not (all(0.0 < value < MAX_NOISE for value in positive)
-            and max(abs(turn_bias), abs(bearing_bias)) < MAX_NOISE):
+            and max(abs(turn_bias), abs(bearing_bias)) < MAX_NOISE
+            and 0.0 <= growth < MAX_NOISE):
         raise BadBlockError('noise is positive and finite')
     if not 0.0 <= keyframe_distance <= MAX_KEYFRAME_DISTANCE:
         raise BadBlockError('the distance of keyframes is not negative, and finite')
@@ -329,5 +331,6 @@ def _read_first_block(content: bytes) -> tuple[NoiseSettings, TeamParameters]:
         odometry_sigma=(x, y, phi), landmark_sigma=(z_x, z_y), odometry_noise_scale=scales[0],
         landmark_noise_scale=scales[1], robot_noise_scale=scales[2],
         odometry_scale=(distance, turn), odometry_turn_bias=turn_bias,
-        observation_range_scale=range_scale, observation_bearing_bias=bearing_bias)
+        observation_range_scale=range_scale, observation_bearing_bias=bearing_bias,
+        observation_noise_growth=growth)
     return noise, TeamParameters(shared_landmark_ids, keyframe_distance)

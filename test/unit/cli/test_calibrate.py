@@ -237,6 +237,36 @@ def test_systematic_errors_of_observations_are_corrected_by_ground_truth(calibra
     assert r1.landmark_noise_scale == pytest.approx(0.5, rel=0.15)
 
 
+def with_growing_noise(growth):
+    """Return a long run with observations whose standard deviations grow with the range."""
+    rng = np.random.default_rng(7)
+    precise = simulation.parse({
+        'loops': 13, 'rate': 1, 'landmarks': 30, 'seed': 3, 'landmark_sigma': [0.05, 0.05],
+        'odometry_sigma': [0.02, 0.02, 0.005]}).records()
+
+    def noisier(o):
+        factor = (1.0 + growth * np.hypot(*o.z)) ** 2 - 1.0
+        return replace(o, z=o.z + rng.multivariate_normal(np.zeros(2), factor * o.R))
+
+    return [
+        replace(record, observations=tuple(map(noisier, record.observations)))
+        if isinstance(record, Scan) else record for record in precise]
+
+
+@pytest.mark.parametrize('source', ['truth', 'innovations'])
+@pytest.mark.parametrize('growth', [0.0, 0.5])
+def test_noise_that_grows_with_the_range_is_found(calibrate, places, growth, source):
+    _, printed, _ = calibrate(with_growing_noise(growth), '--from', source)
+
+    settings = parameters.load(places[2]).estimation
+    found = settings.robots[0].observation_noise_growth
+    assert ('grows with the range' in printed) == (found > 0.0) == (growth > 0.0)
+    # From 3 to 14 m, where most landmarks are; by innovations of two minutes less well.
+    for at in (3.0, 14.0):
+        assert settings.landmark_noise_scale * (1.0 + found * at) == pytest.approx(
+            1.0 + growth * at, rel=0.15 if source == 'truth' else 0.3)
+
+
 @pytest.mark.parametrize('is_sensor', [True, False])
 def test_without_ground_truth_a_shared_map_tells_wrong_ranges_from_wrong_distances(
     calibrate, places, is_sensor,

@@ -134,9 +134,9 @@ def cost(edges):
 def test_what_is_applied_to_the_data_is_left_out_of_their_parameters(tmp_path):
     applied = {
         'r1.sensor_pose': [0.25, 0.0, 1.0], 'r1.odometry_scale': [0.9, 1.1],
-        'odometry_turn_bias': 0.01, 'landmark_noise_scale': 2.0,
-        'r2.odometry_noise_scale': 0.5, 'r2.use_odometry_covariance': False,
-        'max_delay': 0.2}
+        'odometry_turn_bias': 0.01, 'observation_noise_growth': 0.2,
+        'landmark_noise_scale': 2.0, 'r2.odometry_noise_scale': 0.5,
+        'r2.use_odometry_covariance': False, 'max_delay': 0.2}
     params = write_parameters(tmp_path / 'p.yaml', robots=['r1', 'r2'], **applied)
     left = {}
     for kind in 'g2o', 'csv':

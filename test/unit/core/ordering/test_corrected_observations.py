@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Ranges, bearings and covariances of observations are corrected as the parameters state."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
@@ -41,3 +43,17 @@ def test_observations_without_stated_errors_stay_as_they_are():
     scan = Scan('r', 5, (Observation(3, polar(4.0, 0.7), R),))
 
     assert corrected(scan, NoiseSettings()) is scan
+
+
+@pytest.mark.parametrize('scan', [
+    Scan('r', 5, (Observation(3, polar(4.0, 0.7), R),)),
+    RobotScan('r', 5, (RobotObservation('q', polar(4.0, 0.7), R),))])
+def test_standard_deviations_grow_with_the_corrected_range(scan):
+    growing = replace(WRONG, observation_noise_growth=0.5)
+
+    (constant,), (observation,) = (
+        corrected(scan, settings).observations for settings in (WRONG, growing))
+
+    # At 5 m: 1 + 0.5 * 5.
+    assert_allclose(observation.R, 3.5 ** 2 * constant.R, rtol=1e-14)
+    assert_allclose(observation.z, constant.z, rtol=0.0, atol=0.0)

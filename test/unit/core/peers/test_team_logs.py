@@ -17,7 +17,7 @@ from fej_slam_ros.core.settings import NoiseSettings
 
 NOISE = NoiseSettings(
     odometry_noise_scale=2.0, odometry_scale=(0.95, 1.04), odometry_turn_bias=-0.01,
-    observation_range_scale=1.03, observation_bearing_bias=-0.02)
+    observation_range_scale=1.03, observation_bearing_bias=-0.02, observation_noise_growth=0.2)
 R = np.diag([0.01, 0.02])
 
 
