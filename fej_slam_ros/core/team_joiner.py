@@ -43,8 +43,8 @@ COMPARISON_PERIOD = NS
 VARIABLES_OF_PERIOD = 200
 #: Number of matches of landmarks without ID of which one may be left out because it does not fit.
 MATCHES_OF_MISFIT = 3
-#: Longest time between two attempts [ns].
-MAX_PAUSE = 60 * NS
+#: Longest time between two attempts [ns], and number of failures in a row up to which it grows.
+MAX_PAUSE, MAX_FAILURES = 60 * NS, 10
 
 
 class TeamJoiner:
@@ -64,8 +64,8 @@ class TeamJoiner:
         # they do not join.
         self._compared: dict[tuple[str, str], tuple[int, str]] = {}
         # By the owners of two groups: when joining them is attempted again [ns], how many
-        # landmarks and points they shared when it failed, and why.
-        self._postponed: dict[tuple[str, str], tuple[int, int, str]] = {}
+        # landmarks and points they shared when it failed, how often it did in a row, and why.
+        self._postponed: dict[tuple[str, str], tuple[int, int, int, str]] = {}
 
     def change_settings(self, settings: Settings) -> None:
         """Use other conditions of joining from now on."""
@@ -234,15 +234,17 @@ class TeamJoiner:
         shared = sum(len(mine.keys() & theirs.keys()) for mine, theirs in (
             (group.state.landmarks, other.state.landmarks),
             (group.state.rendezvous_points, other.state.rendezvous_points)))
-        due, shared_then, reason = self._postponed.get(names, (newest, 0, ''))
+        due, shared_then, failures, reason = self._postponed.get(names, (newest, 0, 0, ''))
         # A robot that has restarted shares fewer.
         if newest < due and shared >= shared_then:
             return JoinFailure(reason)
         failure = self._joiner.join(group.filter, other.filter)
         self._postponed.pop(names, None)
         if failure is not None and not failure.has_outliers():
-            pause = int(COMPARISON_PERIOD * (shared / VARIABLES_OF_PERIOD) ** 3)
-            self._postponed[names] = newest + min(pause, MAX_PAUSE), shared, failure.reason
+            failures = min(failures + 1, MAX_FAILURES)
+            pause = int(COMPARISON_PERIOD * failures * (shared / VARIABLES_OF_PERIOD) ** 3)
+            self._postponed[names] = (
+                newest + min(pause, MAX_PAUSE), shared, failures, failure.reason)
         return failure
 
     def _remove_outlying(self, state: JointState, landmark: Landmark) -> None:

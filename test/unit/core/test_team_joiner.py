@@ -156,6 +156,20 @@ def test_attempts_with_many_rendezvous_points_that_do_not_fit_are_rare(joining, 
     assert len(made) == 1
 
 
+def test_joins_that_keep_failing_are_attempted_less_and_less(joining, monkeypatch):
+    for robot in ('r1', 'r2'):
+        joining.observe_landmarks(robot, np.random.default_rng(1).uniform(-20.0, 20.0, (200, 2)))
+    times, failed = [], JoinFailure('do not fit')
+    monkeypatch.setattr(MapJoiner, 'join', lambda *args: times.append(stamp) or failed)
+
+    for stamp in range(NS, 100 * NS, NS):
+        joining.groups.of('r2').robots['r2'].stamp = stamp
+        joining.joiner.join({})
+
+    # One second later after the first failure, two after the second, and ten after each from then.
+    assert (np.diff(times) // NS).tolist() == [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 10, 10, 10, 10]
+
+
 def test_a_robot_that_no_longer_sends_is_joined_once_enough_is_shared(joining):
     joining.share_landmarks(2)
     joining.joiner.join({})
