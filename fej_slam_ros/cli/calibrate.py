@@ -122,7 +122,8 @@ def _calibrate(arguments: argparse.Namespace) -> int:
         print(text_table(OBSERVATION_HEADINGS, _error_rows(
             found.errors.observations_by_truth, found.errors.observations_by_landmarks)))
     print('\n'.join([
-        *_error_remarks(settings.estimation, found.errors), *_remarks(collector, found),
+        *_error_remarks(settings.estimation, found.errors), *_noise_remarks(found),
+        *_remarks(collector, found),
         *_uneven(before, found.estimates),
         f'wrote {arguments.output}']))
     return 0
@@ -235,13 +236,23 @@ def _factor_table(estimates: Estimates) -> str:
         for kind, estimate in estimates.items() for robot, noise in estimate.scales.items()))
 
 
-def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
-    estimates, amounts = found.estimates, counts(found.matched.records)
+def _noise_remarks(found: Calibration) -> Iterator[str]:
+    """Yield what was found about noise beside its scales."""
+    for robot in parsed(found.values).estimation.robots:
+        if robot.name in found.sigmas:
+            yield (
+                f'odometry of {robot.name} has no covariance, and one factor does not fit its'
+                ' errors of positions and of turns: odometry_sigma'
+                f' {[*robot.odometry_sigma]} is written')
     if found.growth:
         yield (
             f'noise of observations grows with the range: observation_noise_growth'
             f' {found.growth:.3g}, so that standard deviations at 10 m are'
             f' {(1.0 + 10.0 * found.growth) / (1.0 + found.growth):.1f} times those at 1 m')
+
+
+def _remarks(collector: RecordCollector, found: Calibration) -> Iterator[str]:
+    estimates, amounts = found.estimates, counts(found.matched.records)
     for kind in DOF:
         if amounts[kind] and not is_known(estimates, kind):
             yield (

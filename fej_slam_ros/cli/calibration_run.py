@@ -13,7 +13,7 @@ from fej_slam_ros.core.calibration.from_innovations import (
     comparable, counts, log_likelihood, most_likely_scales, most_likely_scales_of_robots, run,
     with_scales, with_scans_apart)
 from fej_slam_ros.core.calibration.from_truth import (
-    DOF, ERROR_WINDOW, growth_by_truth, normalized_errors)
+    DOF, ERROR_WINDOW, growth_by_truth, normalized_errors, odometry_sigmas)
 from fej_slam_ros.core.calibration.innovation_ranges import growth_by_innovations
 from fej_slam_ros.core.calibration.innovation_windows import scales_over_windows
 from fej_slam_ros.core.calibration.matched_records import (
@@ -26,7 +26,7 @@ from fej_slam_ros.core.calibration.systematic_errors import (
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import NS, Odometry, PriorMap, Received, TrueLandmarks
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import Settings, Triple
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files.prior_map import prior_map
@@ -59,6 +59,7 @@ class Calibration(NamedTuple):
 
     values: Mapping[str, object]  #: the corrected parameters
     errors: SystematicErrors
+    sigmas: Mapping[str, Triple]  #: new odometry_sigma of robots without covariance
     growth: float | None  #: of the noise of observations with the range [1/m], None if unknown
     estimates: Estimates
     matched: MatchedRecords
@@ -103,10 +104,12 @@ def _calibrated_by(
         with tqdm(desc='ranges', unit='run', disable=None) as bar:
             errors = _with_errors_of_ranges(errors, values, beginning, bar.update)
     records = with_corrected_headings(matched.records, errors.headings)
-    corrected, growth = _with_systematic_errors(values, errors), None
+    corrected, growth, sigmas = _with_systematic_errors(values, errors), None, dict[str, Triple]()
     if arguments.source != 'innovations':
-        growth = growth_by_truth([record for record, _ in records], parsed(corrected).estimation)
-        corrected = _with_noise_growth(corrected, growth)
+        plain = [record for record, _ in records]
+        sigmas = odometry_sigmas(plain, parsed(corrected).estimation)
+        growth = growth_by_truth(plain, parsed(corrected).estimation)
+        corrected = _with_noise_growth(_with_odometry_sigmas(corrected, sigmas), growth)
     estimates = _estimate(arguments, corrected, records)
     if growth is None and arguments.source != 'truth':
         growth = _growth_by_innovations(arguments, corrected, estimates, records)
@@ -114,7 +117,7 @@ def _calibrated_by(
             corrected = _with_noise_growth(corrected, growth)
             estimates = _estimate(arguments, corrected, records)
     return Calibration(
-        _with_noise_scales(corrected, estimates), errors, growth, estimates, matched)
+        _with_noise_scales(corrected, estimates), errors, sigmas, growth, estimates, matched)
 
 
 def parsed(values: Mapping[str, object]) -> parameters.RunSettings:
@@ -184,6 +187,15 @@ def _growth_by_innovations(
     with tqdm(desc='growth', unit='run', disable=None) as bar:
         return growth_by_innovations(
             settings.estimation, beginning, prior_map(settings), bar.update)
+
+
+def _with_odometry_sigmas(
+    values: Mapping[str, object], sigmas: Mapping[str, Triple]
+) -> dict[str, object]:
+    """Return parameters with odometry_sigma of some robots."""
+    return {**values, **{
+        f'{robot}.odometry_sigma': [float(f'{x:.3g}') for x in sigma]
+        for robot, sigma in sigmas.items()}}
 
 
 def _with_noise_growth(values: Mapping[str, object], growth: float | None) -> dict[str, object]:

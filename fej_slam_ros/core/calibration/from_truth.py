@@ -21,6 +21,7 @@ import numpy as np
 
 from fej_slam_ros.core import models
 from fej_slam_ros.core.calibration.noise_growth import ErrorAtRange, noise_growth
+from fej_slam_ros.core.calibration.odometry_sigma import MotionError, sigma_factors
 from fej_slam_ros.core.calibration.scales_of_errors import Errors, inliers
 from fej_slam_ros.core.calibration.team_records import NearTruth, TeamRecords
 from fej_slam_ros.core.consistency import nees
@@ -32,7 +33,7 @@ from fej_slam_ros.core.ordering.corrected_observations import (
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotScan, Scan, ScanT)
-from fej_slam_ros.core.settings import NoiseSettings, Settings
+from fej_slam_ros.core.settings import NoiseSettings, Settings, Triple
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
 DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
@@ -54,7 +55,9 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     """
     team = TeamRecords(records, [robot.name for robot in settings.robots])
     errors: dict[str, Errors] = {'odometry': {
-        robot.name: [*_odometry_errors(team.odometry[robot.name], team.truth, robot)]
+        robot.name: [
+            float(nees(*error))
+            for error in _motion_errors(team.odometry[robot.name], team.truth, robot)]
         for robot in settings.robots}}
     errors |= {
         kind: {robot: [error.d2 for error in of_robot] for robot, of_robot in of_kind.items()}
@@ -103,10 +106,29 @@ def _errors_of_observations(
             for name, robot in robots.items()}}
 
 
-def _odometry_errors(
+def odometry_sigmas(
+    records: Iterable[Record], settings: Settings
+) -> dict[str, Triple]:
+    """Return odometry_sigma of robots without covariance for which one factor does not do."""
+    team = TeamRecords(records, [robot.name for robot in settings.robots])
+    found = {}
+    for robot in settings.robots:
+        odometry, (x, y, phi) = team.odometry[robot.name], robot.odometry_sigma
+        if any(message.twist_covariance is not None for message in odometry):
+            continue
+        factors = sigma_factors(*(
+            [*_motion_errors(odometry, team.truth, replace(robot, odometry_sigma=sigma))]
+            for sigma in ((x, y, phi), (x, y, 2.0 * phi))))
+        if factors is not None:
+            position, turn = factors
+            found[robot.name] = (position * x, position * y, turn * phi)
+    return found
+
+
+def _motion_errors(
     odometry: Sequence[Odometry], truth: RecordedTruth, settings: NoiseSettings
-) -> Iterator[float]:
-    """Yield the normalised error squared of each window with motion between known true poses."""
+) -> Iterator[MotionError]:
+    """Yield the error of each window with motion between known true poses."""
     begin, x, P = None, np.zeros(3), np.zeros((3, 3))
     for earlier, later in pairwise(odometry):
         if later.stamp - earlier.stamp > MAX_ODOMETRY_WINDOW:
@@ -121,7 +143,7 @@ def _odometry_errors(
             # Standing still shows nothing about the noise of driving.
             if x.any() and is_definite(P):
                 true = between(*(truth.pose(end.robot, end.stamp) for end in (begin, later)))
-                yield float(nees(pose_difference(x, true), P))
+                yield MotionError(pose_difference(x, true), P)
             begin, x, P = later, np.zeros(3), np.zeros((3, 3))
 
 
