@@ -5,15 +5,18 @@ First estimates that are too far off to linearise at, and their renewal.
 
 This is not in [Liu]. Where a map has been corrected by metres, a landmark nearby may lie in any
 direction at its first estimate, and H corrects the heading by an offset that has nothing to do
-with the true one. Its estimate then becomes its first estimate. A rotation of the whole state
-moved the landmark by J f, and has to move it by J f_hat: its error gets J (f_hat - f) theta, as in
-the invariant filter, with the theta of the most certain heading. So it stays unobservable.
+with the true one. Its estimate then becomes its first estimate. A rotation of the map moved the
+landmark by J f, and has to move it by J f_hat: its error gets J (f_hat - f) theta, as in the
+invariant filter, with the theta of the robot in whose frame it is known best. So a rotation of the
+whole state, or of the part around this robot, stays unobservable.
 """
 
 import numpy as np
 from numpy.linalg import norm
 
 from fej_slam_ros.core.ekf.covariance import Transport
+from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
+from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.geometry import Indices, perpendicular
 
@@ -32,8 +35,19 @@ def far_points(state: JointState, columns: Indices) -> Indices:
 
 def renew(state: JointState, points: Indices) -> None:
     """Let points (k, 2) have their estimates as first estimates."""
-    P, theta = state.whole(), np.array([state.most_certain_heading()])
-    V = np.zeros((P.dimension, 1))
-    V[points, 0] = perpendicular(state.x_hat[points] - state.x_first[points])
-    P.transport(Transport(theta, V, np.zeros(P.dimension), state.heading_of))
+    P = state.whole()
+    headings, of_point = np.unique(
+        [_nearest_heading(state, P, point) for point in points], return_inverse=True)
+    V = np.zeros((P.dimension, len(headings)))
+    V[points, of_point[:, None]] = perpendicular(state.x_hat[points] - state.x_first[points])
+    P.transport(Transport(headings, V, np.zeros(P.dimension), state.heading_of))
     state.x_first[points] = state.x_hat[points]
+
+
+def _nearest_heading(state: JointState, P: JointCovariance, point: Indices) -> int:
+    """Return the heading of the robot in whose frame a point (2,) is known best."""
+    poses = np.array([robot.slot.indices for robot in state.robots.values()])
+    columns = np.column_stack([poses, np.tile(point, (len(poses), 1))])
+    H = KERNEL.H(state.x_first.take(columns))
+    S = H @ P.blocks(columns) @ H.transpose(0, 2, 1)
+    return int(poses[np.argmin(S.trace(axis1=1, axis2=2)), 2])

@@ -2,12 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """First estimates that are far from a map corrected by metres are renewed, and reveal nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.first_estimates import MAX_MOVED
+from fej_slam_ros.core.ekf.first_estimates import MAX_MOVED, renew
 from fej_slam_ros.core.ekf.gating import Association, Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Standard
 from fej_slam_ros.core.ekf.observability import (
@@ -75,6 +78,29 @@ def test_renewal_does_not_change_the_information_about_a_rotation_of_everything(
     # The conditions of P, 1e4, lose four of 16 digits.
     assert_allclose(u @ np.linalg.solve(P, u), before, rtol=1e-10)
     assert_array_equal(state.x_first, state.x_hat)
+
+
+def test_renewal_does_not_change_the_information_about_a_rotation_of_a_part():
+    state = team(MOVED).state
+    # r2 and what it has mapped, as after a way of which r1 saw nothing.
+    part = rotation(state.x_first)
+    part[:3] = 0.0
+    covariance = Covariance()
+    variables = state.variables()
+    slots = covariance.insert(
+        state.marginal(variables) + 0.3 ** 2 * np.outer(part, part)).split(
+        [variable.slot.size for variable in variables])
+    turned = JointState(
+        [replace(variable, slot=slot) for variable, slot in zip(variables, slots)],
+        state.x_hat, state.x_first, covariance)
+    before = part @ np.linalg.solve(turned.marginal(turned.variables()), part)
+
+    renew(turned, turned.landmarks['', 1].slot.indices[None])
+
+    part = rotation(turned.x_first)
+    part[:3] = 0.0
+    assert_allclose(
+        part @ np.linalg.solve(turned.marginal(turned.variables()), part), before, rtol=1e-10)
 
 
 def test_a_rotation_of_everything_stays_unobservable_across_a_renewal():
