@@ -29,7 +29,7 @@ TwoArrays = tuple[Array, Array]
 
 #: Standard deviation [rad] of a robot's heading change since it last took part in an update,
 #: beyond which its landmarks no longer rotate with it.
-MAX_HEADING_DRIFT = 0.03
+MAX_HEADING_DRIFT = 0.01
 
 
 class Linearization:

@@ -134,7 +134,7 @@ def test_landmarks_that_start_later_turn_with_their_observer_too():
     assert turned_by(state) == before | {('', 3): 'r2', ('', 4): 'r1'}
 
 
-@pytest.mark.parametrize(('sigma', 'robot'), [(0.02, 'r2'), (0.04, 'r3')])
+@pytest.mark.parametrize(('sigma', 'robot'), [(0.005, 'r2'), (0.02, 'r3')])
 def test_landmarks_turn_with_others_after_turns_unseen(sigma, robot):
     team, filter_ = mapped('invariant')
     assert turned_by(filter_.state)['', 0] == 'r2'
