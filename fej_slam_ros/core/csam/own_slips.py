@@ -21,6 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core.chi_square import chi_square_quantile
+from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.odometry_links import (
     distances, factors_of, intervals_of, links_of, measured_poses, MIN_PER_LINK,
@@ -114,10 +115,12 @@ class _SlipSearch:
         self._bent, self._probability, self._limit = bent, probability, limit
 
     def contradicts_odometry(self) -> bool:
-        """Return whether odometry contradicts most observations."""
+        """Return whether most observations contradict odometry, not counting their own errors."""
         robust = robust_minimum(self._bent)
-        return robust is not None and bool(self._limit < distances(
-            robust, robust.information(), self.links.factors, -1.0).max(initial=0.0))
+        if robust is None:
+            return False
+        _, r = self.links.factors.linearize(robust.values)
+        return bool(nees(r, self.links.factors.R).max(initial=0.0) > self._limit)
 
     def explained(self) -> _Explained | None:
         """Return the map without the odometry of slips, None if its parts share too little."""
