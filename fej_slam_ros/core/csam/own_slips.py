@@ -30,6 +30,7 @@ from fej_slam_ros.core.csam.outlier_removal import (
     beyond, Outlier, outlier_limit, robust_minimum, without_outliers)
 from fej_slam_ros.core.csam.trajectory_parts import placed, TrajectoryPart, with_slips
 from fej_slam_ros.core.gauss_newton import NoMinimumError
+from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.smoothing.factors import rows_of
 
 #: Smallest d2 of the odometry of a slip between two parts: that of 5 % of odometry that fits.
@@ -115,12 +116,10 @@ class _SlipSearch:
         self._bent, self._probability, self._limit = bent, probability, limit
 
     def contradicts_odometry(self) -> bool:
-        """Return whether most observations contradict odometry, not counting their own errors."""
+        """Return whether most observations contradict odometry."""
         robust = robust_minimum(self._bent)
-        if robust is None:
-            return False
-        _, r = self.links.factors.linearize(robust.values)
-        return bool(nees(r, self.links.factors.R).max(initial=0.0) > self._limit)
+        return robust is not None and bool(
+            self._by_odometry(robust).max(initial=0.0) > self._limit)
 
     def explained(self) -> _Explained | None:
         """Return the map without the odometry of slips, None if its parts share too little."""
@@ -139,6 +138,11 @@ class _SlipSearch:
         slips = factors_of(solved, self.links, self._slips(solved, links))
         used = with_slips(replace(self._bent, values=solved.values), self.links, slips)
         return _Explained(OwnMap.of(used, self._probability), slips)
+
+    def _by_odometry(self, joint: JointMap) -> Array:
+        """Return the squared distances (k,) of links at values of a map, by their own noise."""
+        _, r = self.links.factors.linearize(joint.values)
+        return nees(r, self.links.factors.R)
 
     def _between_parts(self) -> range:
         """Return the links between the longest parts from the begin and to the end that fit."""
