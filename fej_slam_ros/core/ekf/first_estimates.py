@@ -7,8 +7,8 @@ This is not in [Liu]. Where a map has been corrected by metres, a landmark nearb
 direction at its first estimate, and H corrects the heading by an offset that has nothing to do
 with the true one. Its estimate then becomes its first estimate. A rotation of the map moved the
 landmark by J f, and has to move it by J f_hat: its error gets J (f_hat - f) theta, as in the
-invariant filter, with the theta of the robot in whose frame it is known best. So a rotation of the
-whole state, or of the part around this robot, stays unobservable.
+invariant filter, with the most certain theta of the robots in whose frames it is known best. So a
+rotation of the whole state, or of the part around these robots, stays unobservable.
 """
 
 import numpy as np
@@ -23,6 +23,8 @@ from fej_slam_ros.core.geometry import Indices, perpendicular
 #: Distance of a first estimate from the estimate of an observed point, divided by that of the
 #: observer, up to which it is kept. Beyond 1 it may lie in any direction.
 MAX_MOVED = 1.0
+#: Ratio of the variances of a point in the frames of two robots up to which it may turn with both.
+SIMILAR = 10.0
 
 
 def far_points(state: JointState, columns: Indices) -> Indices:
@@ -45,9 +47,11 @@ def renew(state: JointState, points: Indices) -> None:
 
 
 def _nearest_heading(state: JointState, P: JointCovariance, point: Indices) -> int:
-    """Return the heading of the robot in whose frame a point (2,) is known best."""
+    """Return the most certain heading of the robots in whose frames a point (2,) is known best."""
     poses = np.array([robot.slot.indices for robot in state.robots.values()])
     columns = np.column_stack([poses, np.tile(point, (len(poses), 1))])
     H = KERNEL.H(state.x_first.take(columns))
     S = H @ P.blocks(columns) @ H.transpose(0, 2, 1)
-    return int(poses[np.argmin(S.trace(axis1=1, axis2=2)), 2])
+    variances = S.trace(axis1=1, axis2=2)
+    headings = poses[variances <= SIMILAR * variances.min(), 2]
+    return int(headings[np.argmin(P.blocks(headings[:, None])[:, 0, 0])])
