@@ -113,8 +113,8 @@ def _calibrated_by(
     estimates = _estimate(arguments, corrected, records)
     if growth is None and arguments.source != 'truth':
         growth = _growth_by_innovations(arguments, corrected, estimates, records)
-        if growth is not None and _with_noise_growth(corrected, growth) != corrected:
-            corrected = _with_noise_growth(corrected, growth)
+        before, corrected = corrected, _with_noise_growth(corrected, growth)
+        if corrected != before:
             estimates = _estimate(arguments, corrected, records)
     return Calibration(
         _with_noise_scales(corrected, estimates), errors, sigmas, growth, estimates, matched)

@@ -8,7 +8,8 @@ a `parameter` is a ROS parameter of the same name. ``Common...`` classes hold th
 both the estimator and the smoother; their subclasses add those of one of them.
 """
 
-from dataclasses import dataclass, field, fields, KW_ONLY
+from dataclasses import dataclass, field, fields, KW_ONLY, replace
+from typing import Any
 
 import numpy as np
 
@@ -213,6 +214,12 @@ class EstimatorSettings(CommonSettings):
 @dataclass(frozen=True)
 class Settings(EstimatorSettings, SmootherSettings):
     """The settings of either of them."""
+
+
+def with_equal_noise(settings: Settings, **noise: Any) -> Settings:
+    """Return settings with some fields of `NoiseSettings` that are the same for all robots."""
+    robots = tuple(replace(robot, **noise) for robot in settings.robots)
+    return replace(settings, robots=robots, **noise)
 
 
 def check_values(settings: Settings) -> None:

@@ -4,6 +4,7 @@
 
 import numpy as np
 
+from fej_slam_ros.core.geometry import poses_plus
 from fej_slam_ros.core.smoothing.factors import (
     LandmarkFactors, OdometryFactors, RendezvousFactors, Values)
 from fej_slam_ros.core.smoothing.problem import Problem
@@ -90,3 +91,14 @@ def whitened_dense(problem, values):
             row[:, start:start + block.shape[1] - 3] += block[:, 3:]
             rows.append(whitening @ row)
     return np.vstack(rows), np.concatenate(residuals)
+
+
+def dense_minimum(problem, x):
+    """Return the poses and landmarks after ten Gauss-Newton steps, with pose 0 fixed."""
+    n = x.poses.size
+    for _ in range(10):
+        A, b = whitened_dense(problem, x)
+        dx = np.zeros(A.shape[1])
+        dx[3:] = np.linalg.solve(A[:, 3:].T @ A[:, 3:], A[:, 3:].T @ b)
+        x = Values(poses_plus(x.poses, dx[:n].reshape(-1, 3)), x.points + dx[n:].reshape(-1, 2))
+    return x

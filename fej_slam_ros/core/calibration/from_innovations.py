@@ -15,7 +15,6 @@ from functools import partial
 from itertools import combinations
 import math
 import sys
-from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize
@@ -29,7 +28,7 @@ from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import (
     MAX_LINEAR_HEADING_SIGMA, Odometry, PriorMap, Received, Record, RobotScan, Scan)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import Settings, with_equal_noise
 
 #: Observer, stamp, and observed robot or landmark ID of an observation.
 ObservedKey = tuple[str, int, str | int | None]
@@ -53,9 +52,8 @@ MAX_OUTLIER_ROUNDS = 4
 
 def with_scales(settings: Settings, scales: Mapping[str, float]) -> Settings:
     """Return settings with noise scales, by kind, that are the same for all robots."""
-    named: dict[str, Any] = {f'{kind}_noise_scale': scale for kind, scale in scales.items()}
-    robots = tuple(replace(robot, **named) for robot in settings.robots)
-    return replace(settings, robots=robots, **named)
+    return with_equal_noise(
+        settings, **{f'{kind}_noise_scale': scale for kind, scale in scales.items()})
 
 
 def comparable(settings: Settings) -> Settings:

@@ -33,7 +33,7 @@ from fej_slam_ros.core.ordering.corrected_observations import (
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, Record, RobotScan, Scan, ScanT)
-from fej_slam_ros.core.settings import NoiseSettings, Settings, Triple
+from fej_slam_ros.core.settings import NoiseSettings, Settings, Triple, with_equal_noise
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
 DOF = {'odometry': 3, 'landmark': 2, 'robot': 2}
@@ -73,8 +73,7 @@ def growth_by_truth(records: Iterable[Record], settings: Settings) -> float | No
 
     """
     team = TeamRecords(records, [robot.name for robot in settings.robots])
-    constant = replace(settings, robots=tuple(
-        replace(robot, observation_noise_growth=0.0) for robot in settings.robots))
+    constant = with_equal_noise(settings, observation_noise_growth=0.0)
     return noise_growth([
         [*chain.from_iterable(of_kind.values())]
         for of_kind in _errors_of_observations(team, constant).values()])

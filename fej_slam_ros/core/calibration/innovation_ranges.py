@@ -25,7 +25,7 @@ from fej_slam_ros.core.ekf.gating import StatisticsByRobot
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.innovation_monitor import InnovationMonitor
 from fej_slam_ros.core.records import PriorMap, Received
-from fej_slam_ros.core.settings import Settings
+from fej_slam_ros.core.settings import Settings, with_equal_noise
 
 #: Largest number of runs, and the relative change of the growth after which there is no other.
 MAX_RUNS, MAX_CHANGE = 5, 0.1
@@ -69,16 +69,12 @@ def growth_by_innovations(
     growth = 0.0
     for _ in range(MAX_RUNS):
         innovations = InnovationRanges()
-        run(_with_growth(gated, growth), records, prior, innovations)
+        run(
+            with_equal_noise(gated, observation_noise_growth=growth), records, prior,
+            innovations)
         on_run()
         found = noise_growth(innovations.kinds(), growth, MIN_GAIN)
         if found is None or abs(found - growth) <= MAX_CHANGE * growth:
             return found
         growth = found
     return growth
-
-
-def _with_growth(settings: Settings, growth: float) -> Settings:
-    return replace(
-        settings, observation_noise_growth=growth, robots=tuple(
-            replace(robot, observation_noise_growth=growth) for robot in settings.robots))

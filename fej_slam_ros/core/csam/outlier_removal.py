@@ -17,7 +17,7 @@ import numpy as np
 from fej_slam_ros.core.chi_square import chi_square_quantile, squared_distances
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.gauss_newton import ConvergenceError
-from fej_slam_ros.core.geometry import Array, compose, Flags, Indices, transform
+from fej_slam_ros.core.geometry import Array, compose, Indices, transform
 from fej_slam_ros.core.records import LandmarkKey
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.factors import concatenated, LandmarkFactors, rows_of, Values
@@ -84,11 +84,10 @@ def outlier_limit(own: JointMap, probability: float) -> float:
     return chi_square_quantile(2, probability ** (1.0 / max(count, 1)))
 
 
-def beyond(own: JointMap, limit: float) -> Flags:
-    """Return whether each landmark observation (m,) of a map is beyond a limit of d2."""
+def count_beyond(own: JointMap, limit: float) -> int:
+    """Return the number of landmark observations of a map that are beyond a limit of d2."""
     _, d2 = _distances(own)
-    is_beyond: Flags = d2 > limit
-    return is_beyond
+    return int(np.sum(d2 > limit))
 
 
 def without_landmarks(

@@ -27,7 +27,7 @@ from fej_slam_ros.core.csam.odometry_links import (
     distances, factors_of, intervals_of, links_of, measured_poses, MIN_PER_LINK,
     ReleasedOdometry, UNKNOWN_SLIP)
 from fej_slam_ros.core.csam.outlier_removal import (
-    beyond, Outlier, outlier_limit, robust_minimum, without_outliers)
+    count_beyond, Outlier, outlier_limit, robust_minimum, without_outliers)
 from fej_slam_ros.core.csam.trajectory_parts import placed, TrajectoryPart, with_slips
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
@@ -51,7 +51,7 @@ class OwnMap:
         """Return the map without outliers; parameters and errors as of `without_outliers`."""
         joint, outliers = without_outliers(complete, probability)
         limit = outlier_limit(complete, probability)
-        return cls(joint, outliers, len(outliers) + int(np.sum(beyond(joint, limit))))
+        return cls(joint, outliers, len(outliers) + count_beyond(joint, limit))
 
 
 def own_map(complete: JointMap, probability: float, limit: float) -> OwnMap:

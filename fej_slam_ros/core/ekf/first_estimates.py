@@ -17,7 +17,7 @@ from numpy.linalg import norm
 from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.state import JointState, pose_indices
 from fej_slam_ros.core.geometry import Indices, perpendicular
 
 #: Distance of a first estimate from the estimate of an observed point, divided by that of the
@@ -48,7 +48,7 @@ def renew(state: JointState, points: Indices) -> None:
 
 def _nearest_heading(state: JointState, P: JointCovariance, point: Indices) -> int:
     """Return the most certain heading of the robots in whose frames a point (2,) is known best."""
-    poses = np.array([robot.slot.indices for robot in state.robots.values()])
+    poses = pose_indices([*state.robots.values()])
     columns = np.column_stack([poses, np.tile(point, (len(poses), 1))])
     H = KERNEL.H(state.x_first.take(columns))
     S = H @ P.blocks(columns) @ H.transpose(0, 2, 1)

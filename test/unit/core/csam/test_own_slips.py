@@ -9,10 +9,10 @@ import pytest
 
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.csam.own_slips import own_map
-from fej_slam_ros.core.geometry import compose, poses_plus
-from fej_slam_ros.core.smoothing.factors import rows_of, Values
+from fej_slam_ros.core.geometry import compose
+from fej_slam_ros.core.smoothing.factors import rows_of
 from helpers.csam import Met
-from helpers.smoothing import whitened_dense
+from helpers.smoothing import dense_minimum
 
 STEPS = 45
 #: Probability that no correct observation is removed, and limit of d2 of odometry.
@@ -52,16 +52,11 @@ def with_scans_of_two(local):
 
 def batch(local, steps):
     """Return all poses by dense least squares without the odometry of some steps."""
-    problem, x = local.problem, local.values
-    R = np.broadcast_to(problem.odometry.R, (STEPS, 3, 3)).copy()
+    odometry = local.problem.odometry
+    R = np.broadcast_to(odometry.R, (STEPS, 3, 3)).copy()
     R[steps] *= 1e8
-    problem, n = replace(problem, odometry=replace(problem.odometry, R=R)), x.poses.size
-    for _ in range(10):
-        A, b = whitened_dense(problem, x)
-        dx = np.zeros(A.shape[1])
-        dx[3:] = np.linalg.solve(A[:, 3:].T @ A[:, 3:], A[:, 3:].T @ b)
-        x = Values(poses_plus(x.poses, dx[:n].reshape(-1, 3)), x.points + dx[n:].reshape(-1, 2))
-    return x.poses
+    return dense_minimum(
+        replace(local.problem, odometry=replace(odometry, R=R)), local.values).poses
 
 
 @pytest.mark.parametrize('steps', [ONCE, TWICE, FOR_SOME_TIME])

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.csam.maps import LocalMap
-from fej_slam_ros.core.geometry import poses_plus
 from fej_slam_ros.core.smoothing.factors import concatenated, rows_of, Values
 from fej_slam_ros.core.smoothing.problem import Problem
 from helpers.csam import joined_maps, Met
-from helpers.smoothing import whitened_dense
+from helpers.smoothing import dense_minimum
 
 STEPS = 45
 #: Rows of the odometry of r3 in which its wheels slip, and what they measure too much.
@@ -50,14 +49,7 @@ def batch(joint, team):
         odometry.pose < first['r3'] + SLIP.stop)
     odometry.R[slipped] *= 1e8
     everything = Problem(odometry, problem.landmarks, problem.rendezvous)
-    x, n = joint.values, joint.values.poses.size
-    for _ in range(10):
-        A, b = whitened_dense(everything, x)
-        dx = np.zeros(A.shape[1])
-        # Pose 0 of r1 is fixed.
-        dx[3:] = np.linalg.solve(A[:, 3:].T @ A[:, 3:], A[:, 3:].T @ b)
-        x = Values(poses_plus(x.poses, dx[:n].reshape(-1, 3)), x.points + dx[n:].reshape(-1, 2))
-    return x.poses
+    return dense_minimum(everything, joint.values).poses
 
 
 @pytest.mark.parametrize('met', [ALWAYS, TWICE])
