@@ -73,8 +73,7 @@ def _no_landmarks(
     topics: Mapping[str, BagTopic], filled: set[str], robot: str, recorded: RecordedRobots
 ) -> Finding:
     observes_robots = f'{robot}/robots' in filled
-    others_have_landmarks = any(topic.endswith('/landmarks') for topic in filled)
-    return error_if(others_have_landmarks or not observes_robots)(
+    return error_if(not observes_robots)(
         'no_landmarks', f'{robot}/landmarks',
         f'{_missing(topics, f"{robot}/landmarks")}, so {robot} observes'
         f' {"no landmarks" if observes_robots else "neither landmarks nor robots"}',

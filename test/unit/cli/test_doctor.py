@@ -28,8 +28,8 @@ C, R = 'two_circles', 'rendezvous'
 FAULTS = {
     'odometry missing': (C, without('r2/odom'), 1, 'no_odometry', 'r2/odom', 'remap'),
     'landmarks missing': (C, without('r2/landmarks'), 1, 'no_landmarks', 'r2/landmarks', 'remap'),
-    'landmarks of one robot missing': (
-        R, without('q/landmarks'), 1, 'no_landmarks', 'q/landmarks', ''),
+    'landmarks of a robot missing that observes others': (
+        R, without('q/landmarks'), 0, 'no_landmarks', 'q/landmarks', ''),
     'wrong type': (C, of_type_pose, 1, 'wrong_type', 'r2/odom', 'nav_msgs/msg/Odometry'),
     'gap': (C, without('r1/odom', slice(40, 65)), 1, 'gap', 'r1/odom', 'link'),
     'gap at 2 Hz': (R, without('p/odom', slice(20, 30)), 1, 'gap', 'p/odom', 'link'),
