@@ -64,7 +64,9 @@ class IncrementalSmoother:
             np.zeros(3), (), self._solved.points, NearMarginal.of_pose(np.zeros((3, 3))))
         # Increment since the last of these poses, and its covariance.
         self._passed: tuple[Array, Array] | None = None
+        # Poses with observations, and their number at the last attempt to solve.
         self._observed_from: list[int] = []
+        self._attempted = 0
         # Factors up to the last call of problem(), and the measurements since.
         self._odometry = stacked(OdometryFactors, ())
         self._landmarks = stacked(LandmarkFactors, ())
@@ -115,6 +117,7 @@ class IncrementalSmoother:
         self._estimate(u, Q, observations)
         self._add_scan(observations)
         if observations and self._is_solution_due():
+            self._attempted = len(self._observed_from)
             self.solve(DUE_TOLERANCE)
 
     def append(
@@ -257,10 +260,12 @@ class IncrementalSmoother:
         self._observed_from += (first + np.unique(factors.pose)).tolist()
 
     def _is_solution_due(self) -> bool:
-        """Return whether too many poses with observations are not in the last full solution."""
+        """Return whether too many poses with observations came after the last full solution."""
         observed = len(self._observed_from)
-        unsolved = observed - bisect_left(self._observed_from, len(self._solved.poses))
-        return unsolved >= max(self._solve_every, observed // UNSOLVED_ONE_IN)
+        solved = bisect_left(self._observed_from, len(self._solved.poses))
+        # One that failed would fail again at the next pose, after as many iterations.
+        new = observed - max(solved, self._attempted)
+        return new >= max(self._solve_every, observed // UNSOLVED_ONE_IN)
 
     def _continue_from(self, values: Values, near: NearMarginal) -> None:
         self._solved, self._poses = values, []

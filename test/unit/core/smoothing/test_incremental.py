@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Smoothing pose by pose equals batch smoothing in the end, and is accurate before."""
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from fej_slam_ros.core.consistency import nees_per_dof
 from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
+from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between, compose, inverse, transform
 from fej_slam_ros.core.records import Observation
 from fej_slam_ros.core.smoothing import incremental as module
@@ -277,6 +279,23 @@ def test_the_time_between_full_solutions_grows_with_the_number_of_poses(monkeypa
     # The fifth pose, until a tenth of all poses is more: from the one with number 60 on.
     assert steps[:11].tolist() == 11 * [5]
     assert (steps[11:] == np.array(solved[11:]) // 10).all()
+
+
+def test_a_solution_that_failed_is_not_attempted_again_before_the_next_is_due(monkeypatch):
+    attempts = []
+
+    def failing(_, start, __):
+        attempts.append(len(start.poses))
+        raise ConvergenceError('no minimum')
+
+    monkeypatch.setattr(module.least_squares, 'solve', failing)
+    smoother = IncrementalSmoother(solve_every=5)
+    for _ in range(30):
+        with suppress(ConvergenceError):
+            smoother.add(
+                np.array([1.0, 0.0, 0.0]), np.eye(3), [Observation(1, np.ones(2), np.eye(2))])
+
+    assert attempts == [6, 11, 16, 21, 26, 31]
 
 
 def test_poses_after_an_adopted_solution_follow_from_it_as_from_one_of_its_own():
