@@ -42,7 +42,8 @@ def different_robots(
         distances = {
             robot: own[robot].distance(without(found | {robot}))
             for robot in (rest if len(rest) > 1 else ())}
-        robot = max(distances, key=distances.__getitem__, default=None)
+        # Those of two robots are the same but for rounding.
+        robot = max(distances, key=lambda name: round(distances[name], 6), default=None)
         if robot is None or distances[robot] <= DIFFERENT:
             return sorted(found)
         found.add(robot)

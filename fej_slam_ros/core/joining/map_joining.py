@@ -11,9 +11,12 @@ from collections.abc import Sequence
 from contextlib import suppress
 from copy import deepcopy
 
+import numpy as np
+
 from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.state import JointState, part_of, Variables
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.ekf.state import (
+    JointState, part_of, position_indices, Robot, Variables)
+from fej_slam_ros.core.geometry import Array, perpendicular
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.change_of_frame import in_frame_of
 from fej_slam_ros.core.joining.frame_fit import (
@@ -64,7 +67,8 @@ class MapJoiner:
             return JoinFailure(f'{shared}, needs {self._min_landmarks}')
         # The conditions of a join cost little however large the maps are.
         _, theirs = shared_variables(team.state, group.state)
-        local = _from_first_robot(group, theirs)
+        robot = most_certain_robot(group.state, theirs)
+        local = _in_frame_of(robot, group, theirs)
         if not determine_heading(team.state, local):
             return JoinFailure(f'{shared} are at one place, which determines no heading')
         found = fit(team.state, local)
@@ -73,10 +77,13 @@ class MapJoiner:
             return failure
         try:
             team.state = joined_state(
-                team.state, _from_first_robot(group, group.state.variables()), found.pose,
+                team.state, _in_frame_of(robot, group, group.state.variables()), found.pose,
                 team.linearization)
         except EndedError:
             return JoinFailure('the process ended before it could join')
+        if robot is not None:
+            # The shared variables have corrected its heading like observations of its own.
+            team.state.robots[robot.name].turn_variance = 0.0
         for key in keys:
             team.state.landmarks[key].is_reobserved = True
         return None
@@ -89,7 +96,7 @@ class MapJoiner:
 
         """
         _, theirs = shared_variables(team.state, group.state)
-        local = _from_first_robot(group, theirs)
+        local = _in_best_frame(group, theirs)
         left_out: list[LandmarkKey] = []
         while not (found := fit(team.state, local, left_out)).is_consistent(self._tail):
             if len(left_out) == most:
@@ -117,7 +124,7 @@ class MapJoiner:
         sigma = found.heading_sigma()
         if sigma > self._max_heading_sigma:
             # The uncertainty of the global heading of the team is irrelevant.
-            sigma = min(sigma, fit(_from_first_robot(team, found.shared), local).heading_sigma())
+            sigma = min(sigma, fit(_in_best_frame(team, found.shared), local).heading_sigma())
         if sigma > self._max_heading_sigma:
             return JoinFailure(
                 f'{shared} determine the heading to {sigma:.2f} rad only, needs'
@@ -169,14 +176,38 @@ class MapJoiner:
         return found if found.is_consistent(self._tail) else None
 
 
-def _from_first_robot(filter_: Filter, variables: Variables) -> JointState:
+def most_certain_robot(state: JointState, points: Variables) -> Robot | None:
     """
-    Return some variables in the frame of the first robot, if any: the origin may be far away.
+    Return the robot whose heading is known best relative to the turn of some points, if any.
+
+    In its frame the error that is linearised, a rotation of these points, is the least.
+
+    """
+    robots = [*state.robots.values()]
+    if len(robots) < 2:
+        return next(iter(robots), None)
+    positions = state.estimates_of(position_indices(points))
+    offsets = positions - positions.mean(axis=0)
+    # The turn of the points is w^T dp, for their errors dp.
+    w = perpendicular(offsets).ravel() / (np.vdot(offsets, offsets) or 1.0)
+    P, n = state.marginal([*robots, *points]), 3 * len(robots)
+    headings = np.arange(2, n, 3)
+    # But for the variance of the turn itself, which is the same for all robots.
+    return robots[int(np.argmin(P[headings, headings] - 2.0 * P[headings, n:] @ w))]
+
+
+def _in_best_frame(filter_: Filter, points: Variables) -> JointState:
+    """Return some points in the frame of the most certain robot."""
+    return _in_frame_of(most_certain_robot(filter_.state, points), filter_, points)
+
+
+def _in_frame_of(robot: Robot | None, filter_: Filter, variables: Variables) -> JointState:
+    """
+    Return some variables in the frame of a robot, if any: the origin may be far away.
 
     The robot is added if it is not one of them.
 
     """
-    robot = next(iter(filter_.state.robots.values()), None)
     if robot is None:
         return part_of(filter_.state, variables)
     part = part_of(filter_.state, variables if robot in variables else [robot, *variables])

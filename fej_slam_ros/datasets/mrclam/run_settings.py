@@ -27,9 +27,9 @@ STALE_AFTER = 2.5
 #: Probability of gates and joining: errors that persist make these tests fail more often than
 #: chi-square predicts, and wrong data are far beyond either threshold.
 GATE_PROBABILITY = 0.99999
-#: Standard deviation of the heading at which a robot joins [rad]: for the same reason a few
-#: observations carry less information than their covariances state.
-JOIN_HEADING_SIGMA = 0.05
+#: Standard deviation of the heading at which a robot joins by landmarks only [rad]: for the same
+#: reason a few observations carry less information than their covariances state.
+LANDMARKS_HEADING_SIGMA = 0.05
 #: Maximum time [ns] from a robot's first odometry to the true pose from which its start is
 #: computed.
 MAX_START_DELAY = 300 * NS
@@ -69,7 +69,10 @@ def settings(
         tuple(robots.values()),
         anchor=robot_name(anchor), anchor_pose=pose, anchor_sigma=sigma, filter='fej',
         gate_probability=GATE_PROBABILITY, join_probability=GATE_PROBABILITY,
-        join_heading_sigma=JOIN_HEADING_SIGMA, stale_after=STALE_AFTER)
+        join_heading_sigma=(
+            Settings.join_heading_sigma if options.robot_observations
+            else LANDMARKS_HEADING_SIGMA),
+        stale_after=STALE_AFTER)
 
 
 def start(log: RobotLog, options: ConversionOptions) -> Start | None:

@@ -17,8 +17,10 @@ import pytest
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from fej_slam_ros.core.ekf.state import JointState, position_indices
+from fej_slam_ros.core.geometry import rigid_fit
 from fej_slam_ros.core.join_failure import JoinFailure
-from fej_slam_ros.core.joining.map_joining import MapJoiner
+from fej_slam_ros.core.joining.map_joining import MapJoiner, most_certain_robot
 from fej_slam_ros.core.records import NS, Odometry, PosePrior, RendezvousKey, Scan, TrueLandmarks
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.environments import ENVIRONMENTS
@@ -242,6 +244,74 @@ def test_maps_that_determine_the_heading_poorly_stay_apart():
     failure = MapJoiner(2, 1.0).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
 
     assert 'determine the heading to' in failure.reason
+
+
+def around_one_of_two(headings):
+    """Return a state of two robots, of some sigmas of heading, among landmarks that both know."""
+    state, rng = JointState(), np.random.default_rng(4)
+    state.insert_robot('r2', 5, np.zeros(3), np.diag(np.square([0.01, 0.01, headings[0]])))
+    state.insert_robot('r3', 5, np.ones(3), np.diag(np.square([0.01, 0.01, headings[1]])))
+    for number in range(4):
+        state.augment(
+            ('', number), state.robots['r2'], rng.uniform(-6.0, 6.0, 2), np.zeros((2, 3)),
+            1e-4 * np.eye(2))
+    return state
+
+
+@pytest.mark.parametrize('headings', [(0.05, 0.5), (0.5, 0.05)])
+def test_maps_join_by_the_robots_whose_headings_are_known_whichever_comes_first(headings):
+    team, _, _ = two_maps(noise=0.01)
+    # The team's own first robot has drifted, too.
+    team.covariance.matrix.lower[2, 2] += 0.5 ** 2
+    team.insert_robot('r4', 5, np.ones(3), 1e-4 * np.eye(3))
+    group = around_one_of_two(headings)
+    for number in range(4):
+        team.x_hat[team.landmarks['', number].slot.indices] = group.estimate(
+            group.landmarks['', number])
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    failure = MapJoiner(3, 0.999).join(into, Filter(group, FirstEstimates(), Gate(1.0)))
+
+    assert failure is None
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_the_most_certain_robot_is_that_from_which_points_turn_least_in_samples(seed):
+    rng = np.random.default_rng(seed)
+    state = JointState()
+    for name in 'abc':
+        state.insert_robot(name, 5, rng.uniform(-3.0, 3.0, 3), np.diag([1e-6, 1e-6, 1e-6]))
+    for number in range(5):
+        state.augment(
+            ('', number), state.robots['a'], rng.uniform(-6.0, 6.0, 2), np.zeros((2, 3)),
+            1e-6 * np.eye(2))
+    # Headings and points are correlated, as those of a robot that has mapped them.
+    A = 1e-2 * rng.normal(size=(len(state.x_hat), 3))
+    state.covariance.matrix.lower[:len(A), :len(A)] += A @ A.T
+    points = [*state.landmarks.values()]
+    P = state.marginal(state.variables())
+    x = rng.multivariate_normal(state.x_hat, P, 4000)
+    positions, true = position_indices(points), state.x_hat
+
+    def turns_from(robot):
+        heading = robot.slot.start + 2
+        return [
+            rigid_fit(true[positions], sample[positions])[2] - sample[heading] + true[heading]
+            for sample in x]
+
+    least = min(state.robots.values(), key=lambda robot: np.std(turns_from(robot)))
+
+    assert most_certain_robot(state, points) is least
+
+
+def test_a_robot_that_joined_counts_as_corrected():
+    team, group, _ = two_maps()
+    group.robots['r2'].turn_variance = 0.5
+    into = Filter(team, FirstEstimates(), Gate(1.0))
+
+    assert MapJoiner(3, 0.999).join(into, Filter(group, FirstEstimates(), Gate(1.0))) is None
+
+    assert into.state.robots['r2'].turn_variance == 0.0
 
 
 def pose_prior(stamp, pose, sigma=0.1):
