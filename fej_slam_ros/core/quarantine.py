@@ -16,7 +16,7 @@ from fej_slam_ros.core.data_association.failure_detection import LostRobotDetect
 from fej_slam_ros.core.data_association.landmark_manager import AssociatedScan
 from fej_slam_ros.core.data_association.wrong_landmarks import remove_untrusted
 from fej_slam_ros.core.ekf.gating import Association, ScanGateStatistics
-from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.ekf.state import JointState, Variables
 from fej_slam_ros.core.frame_groups import FrameGroup, FrameGroups
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import is_too_uncertain, Motion, Step
@@ -52,24 +52,34 @@ class Quarantine:
         Restart robots whose heading is too uncertain to be linearised, if they can join again.
 
         This happens after a long turn by odometry alone, when known landmarks or robots of the
-        frame are observed again. The last robot of a frame stays in it: without a robot, a map
-        would rarely be joined.
+        frame are observed again, whose directions are as uncertain: a join may have determined
+        them in the meantime. The last robot of a frame stays in it: without a robot, a map would
+        rarely be joined.
 
         """
         for scan in step.scans:
             group = self._groups.of(scan.robot)
             reason = _why_turned(group, scan.robot, min_landmarks)
-            if reason and any(
-                    key in group.state.landmarks for key in group.filter.keys_of(scan)):
-                self._restart(scan.robot, step.stamp, reason)
+            if reason:
+                landmarks = group.state.landmarks
+                self._restart_if_uncertain(scan.robot, step.stamp, reason, [
+                    landmarks[key] for key in group.filter.keys_of(scan) if key in landmarks])
         for robot_scan in step.robot_scans:
             for observation in robot_scan.observations:
                 pair = robot_scan.robot, observation.observed
-                if self._groups.of(pair[0]) is self._groups.of(pair[1]):
-                    for robot in pair:
-                        reason = _why_turned(self._groups.of(robot), robot, min_landmarks)
-                        if reason:
-                            self._restart(robot, step.stamp, reason)
+                for robot, other in (pair, pair[::-1]):
+                    group = self._groups.of(robot)
+                    reason = _why_turned(group, robot, min_landmarks)
+                    if reason and other in group.robots:
+                        self._restart_if_uncertain(
+                            robot, step.stamp, reason, [group.robots[other]])
+
+    def _restart_if_uncertain(self, robot: str, stamp: int, reason: str, seen: Variables) -> None:
+        """Restart a robot if directions of what it observes are too uncertain."""
+        filter_ = self._groups.of(robot).filter
+        sigmas = filter_.direction_sigmas(filter_.state.robots[robot], seen)
+        if (sigmas > filter_.linearization.max_turn_sigma).any():
+            self._restart(robot, stamp, reason)
 
     def restart_lost(self, step: Step, min_landmarks: int) -> None:
         """Restart robots that the scans up to a step, its own included, show to be lost."""

@@ -26,7 +26,7 @@ from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import (
-    JointState, Landmark, observation_columns, position_indices, Robot)
+    JointState, Landmark, observation_columns, position_indices, Robot, Variables)
 from fej_slam_ros.core.geometry import Array, Indices, perpendicular
 from fej_slam_ros.core.pieces import EndedError, pause
 from fej_slam_ros.core.records import (
@@ -36,6 +36,8 @@ from fej_slam_ros.core.records import (
 #: Variance [m^2] of the pseudo-measurement that merges two landmarks; above 0 so that S stays
 #: positive definite.
 MERGE_VARIANCE = 1e-12
+#: Distance [m] up to which a point has no direction.
+MIN_DISTANCE = 1e-3
 
 
 class Innovation(NamedTuple):
@@ -288,6 +290,20 @@ class Filter:
             RobotAssociation(robots[scan.robot], robots[observation.observed], observation)
             for scan in scans for observation in scan.observations
             if {scan.robot, observation.observed} <= robots.keys()]
+
+    def direction_sigmas(self, robot: Robot, observed: Variables) -> Array:
+        """Return the standard deviations (m,) [rad] of the directions of points or robots."""
+        columns = observation_columns([robot] * len(observed), observed)
+        z = KERNEL.h(self.state.estimates_of(columns))
+        H = KERNEL.H(self.linearization.observation_points(self.state, columns))
+        distances = np.hypot(*z.T)
+        # The Jacobian of a direction is that of z, times J z / |z|^2.
+        rows = np.einsum('mi,mij->mj', perpendicular(z), H)
+        across = np.sqrt(np.einsum(
+            'mi,mij,mj->m', rows, self.state.covariance.blocks(columns), rows))
+        sigmas = np.full(len(observed), np.inf)
+        np.divide(across, distances ** 2, out=sigmas, where=distances > MIN_DISTANCE)
+        return sigmas
 
     def landmark_difference(
         self, landmark: Landmark, other: Landmark

@@ -81,9 +81,6 @@ class MapJoiner:
                 team.linearization)
         except EndedError:
             return JoinFailure('the process ended before it could join')
-        if robot is not None:
-            # The shared variables have corrected its heading like observations of its own.
-            team.state.robots[robot.name].turn_variance = 0.0
         for key in keys:
             team.state.landmarks[key].is_reobserved = True
         return None

@@ -221,7 +221,8 @@ def _restarts(robot: str, trial: Trial) -> Iterator[Finding]:
             'restarted', robot,
             f'it restarted in its own frame {counted(count, "time")}, the last one:'
             f' {trial.estimator.statistics.restart_reasons[robot]}',
-            f'check its odometry there, and {robot}.start_pose and {robot}.start_sigma if given',
+            f'check its odometry there, and {robot}.start_pose and {robot}.start_sigma if given;'
+            ' if its heading becomes uncertain where little is observed, set filter: invariant',
             count)
 
 

@@ -151,6 +151,15 @@ def test_a_robot_restarts_if_its_heading_drifted_for_long_without_correction(
         robot: f'{reason} since it was last corrected' for robot, reason in reasons.items()}
 
 
+def test_a_robot_that_drifted_in_its_own_frame_and_joined_stays_in_map():
+    # When it observes landmarks again, their directions are known from the first observation.
+    estimator, results = estimate(
+        standing([*[[]] * 60, *[VIEW] * 5], twist_covariance=DRIFTING))
+
+    assert frames(results)[-5:] == ['map'] * 5
+    assert not estimator.statistics.relocalized
+
+
 def test_the_last_robot_of_a_map_stays_in_it_however_its_heading_drifted():
     records = standing([*[VIEW] * 5, *[[]] * 60, VIEW, []], twist_covariance=DRIFTING)
 

@@ -55,6 +55,33 @@ def in_frame_of(x, robot, point):
     return turn(x[robot + 2]).T @ (x[point:point + 2] - x[robot:robot + 2])
 
 
+# The others are not linearised at the estimate.
+@pytest.mark.parametrize('kind', ['standard', 'invariant'])
+def test_sigmas_of_directions_are_those_of_samples(kind):
+    team, filter_ = team_and_filter(kind)
+    filter_.step([team.drive(name, 1) for name in team.names], [team.look('r1', [0, 1])])
+    state, robot = filter_.state, filter_.state.robots['r1']
+    observed = [*state.landmarks.values(), state.robots['r2']]
+    P = state.marginal(state.variables())
+    samples = np.random.default_rng(2).multivariate_normal(state.x_hat, 1e-4 * P, 4000)
+
+    z = np.array([
+        [in_frame_of(x, robot.slot.start, v.slot.start) for v in observed] for x in samples])
+    turns = 1e2 * np.arctan2(z[..., 1], z[..., 0]).std(axis=0)
+
+    # Of 4,000 samples a standard deviation has an error of 1.1 %.
+    assert_allclose(filter_.direction_sigmas(robot, observed), turns, rtol=0.05)
+
+
+def test_a_point_at_the_robot_has_no_direction():
+    _, filter_ = team_and_filter()
+    state = filter_.state
+    robot, landmark = state.robots['r1'], next(iter(state.landmarks.values()))
+    state.x_hat[landmark.slot.indices] = state.pose(robot)[:2]
+
+    assert filter_.direction_sigmas(robot, [landmark]) == np.inf
+
+
 def iterated_update(x_prior, P, observations, iterations):
     """Return estimate and covariance after the update of a textbook's iterated EKF."""
     x = x_prior

@@ -304,16 +304,6 @@ def test_the_most_certain_robot_is_that_from_which_points_turn_least_in_samples(
     assert most_certain_robot(state, points) is least
 
 
-def test_a_robot_that_joined_counts_as_corrected():
-    team, group, _ = two_maps()
-    group.robots['r2'].turn_variance = 0.5
-    into = Filter(team, FirstEstimates(), Gate(1.0))
-
-    assert MapJoiner(3, 0.999).join(into, Filter(group, FirstEstimates(), Gate(1.0))) is None
-
-    assert into.state.robots['r2'].turn_variance == 0.0
-
-
 def pose_prior(stamp, pose, sigma=0.1):
     return PosePrior('r2', stamp, np.array(pose), sigma**2 * np.eye(3))
 
