@@ -177,7 +177,7 @@ class Filter:
             return NO_INNOVATION._replace(interrupted=observations)
 
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
-        H = self._jacobian(stack)                                # 2. H, eqs. (8) to (11)
+        H = self._jacobian(stack.columns)                        # 2. H, eqs. (8) to (11)
         update = joint_update(state.covariance, H, stack.R)      # 3. S = H P H^T + R
         gated = self.gate.apply(                                 # 4. gate each by S_ii
             observations, r, update.own(), partial(self._curved_distances, r, stack.R, H))
@@ -232,7 +232,7 @@ class Filter:
         """
         state, policy = self.state, self.linearization
         state.x_hat = policy.retract(state, x_prior, dx)
-        H = self._jacobian(stack)
+        H = self._jacobian(stack.columns)
         A = policy.transport(state, x_prior, dx)
         if A is not None:
             H = H.after(A)
@@ -243,10 +243,10 @@ class Filter:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
         return stack.z - KERNEL.h(self.state.estimates_of(stack.columns))
 
-    def _jacobian(self, stack: StackedObservations) -> SparseRows:
-        """Return H at the points of the policy, eqs. (10), (11)."""
-        points = self.linearization.observation_points(self.state, stack.columns)
-        return SparseRows(stack.columns, KERNEL.H(points))
+    def _jacobian(self, columns: Indices) -> SparseRows:
+        """Return H of observations of states (m, 5) at the policy's points, eqs. (10), (11)."""
+        points = self.linearization.observation_points(self.state, columns)
+        return SparseRows(columns, KERNEL.H(points))
 
     def start_landmarks(self, scans: Iterable[Scan]) -> list[Association]:
         """
@@ -295,10 +295,9 @@ class Filter:
         """Return the standard deviations (m,) [rad] of the directions of points or robots."""
         columns = observation_columns([robot] * len(observed), observed)
         z = KERNEL.h(self.state.estimates_of(columns))
-        H = KERNEL.H(self.linearization.observation_points(self.state, columns))
         distances = np.hypot(*z.T)
         # The Jacobian of a direction is that of z, times J z / |z|^2.
-        rows = np.einsum('mi,mij->mj', perpendicular(z), H)
+        rows = np.einsum('mi,mij->mj', perpendicular(z), self._jacobian(columns).blocks)
         across = np.sqrt(np.einsum(
             'mi,mij,mj->m', rows, self.state.covariance.blocks(columns), rows))
         sigmas = np.full(len(observed), np.inf)

@@ -117,7 +117,6 @@ class IncrementalSmoother:
         self._estimate(u, Q, observations)
         self._add_scan(observations)
         if observations and self._is_solution_due():
-            self._attempted = len(self._observed_from)
             self.solve(DUE_TOLERANCE)
 
     def append(
@@ -161,7 +160,7 @@ class IncrementalSmoother:
         `tolerance` is the largest increment of a coordinate at the end [m, rad].
 
         """
-        problem = self.problem()
+        problem, self._attempted = self.problem(), len(self._observed_from)
         solution = least_squares.solve(problem, self.values(), tolerance)
         values, newest = solution.values, len(self) - 1
         landmarks = np.arange(len(values.points))
