@@ -11,6 +11,7 @@ from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
 from helpers.processes import end_session, until
 from helpers.ros import run_verb, summary_of, write_parameters
+from helpers.slow import slow
 
 live_helpers = optional('helpers.live')
 services = optional('rcl_interfaces.srv')
@@ -47,8 +48,7 @@ def is_part_of(poses, expected):
 @pytest.mark.parametrize(
     ('seed', 'moments'),
     [(3, [0.5])] + [
-        pytest.param(seed, [0.1, 0.3, 0.5, 0.7, 0.9], marks=pytest.mark.slow)
-        for seed in (4, 5, 6)])
+        slow(seed, [0.1, 0.3, 0.5, 0.7, 0.9]) for seed in (4, 5, 6)])
 def test_an_estimator_killed_while_saving_and_restarted_ends_as_if_undisturbed(
     domain, tmp_path, seed, moments,
 ):

@@ -11,6 +11,7 @@ from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
 from helpers.ros import odometry_message, raw, run_verb, summary_of, write_parameters
+from helpers.slow import slow
 
 live_helpers = optional('helpers.live')
 
@@ -100,7 +101,7 @@ def test_a_bag_played_again_is_rejected(domain, tmp_path, replayed):
     assert not summary['depends_on_arrival']
 
 
-@pytest.mark.parametrize('clock', [True, pytest.param(False, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('clock', [True, slow(False)])
 def test_a_bag_played_again_starts_a_new_run_where_that_is_set(domain, tmp_path, replayed, clock):
     bag, expected = replayed
     options = ['--clock'] if clock else []

@@ -103,6 +103,7 @@ def test_an_interrupted_demo_leaves_no_process_behind(demo, moment, way):
     assert not demo.family()
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_the_demo_with_a_sentence(demo):
     running(demo)
 
@@ -125,6 +126,7 @@ def test_an_earlier_demo_is_not_overwritten(tmp_path):
     assert errors.count('\n') == 1
 
 
+@pytest.mark.slow
 def test_the_nodes_end_with_a_demo_that_was_killed(demo):
     both_started(demo)
 

@@ -39,6 +39,7 @@ def counted(reports, robot, count):
     return values.get(count, 0)
 
 
+@pytest.mark.slow
 def test_a_sensor_that_falls_silent_is_a_warning(tmp_path):
     world = write_parameters(tmp_path / 'world.yaml', **WORLD)
     assert run_verb('simulate', '--params', world, '--output', tmp_path / 'bag') == 0
@@ -93,6 +94,7 @@ def test_work_without_end_delays_neither_messages_nor_the_end_of_a_node():
         node.destroy_node()
 
 
+@pytest.mark.slow
 def test_the_log_names_the_topics_that_are_read_after_remapping():
     with live_helpers.Domain() as domain:
         detector = domain.start(
@@ -117,6 +119,7 @@ def test_reports_name_the_namespace_and_a_missing_clock():
     assert status.message == 'waiting for /clock: use_sim_time is set'
 
 
+@pytest.mark.slow
 def test_simulated_time_that_begins_late_is_logged_without_a_warning():
     with live_helpers.Domain() as domain:
         domain.start('detector', '--ros-args', '-p', 'robots:=[r1]', '-p', 'use_sim_time:=true')
@@ -126,6 +129,7 @@ def test_simulated_time_that_begins_late_is_logged_without_a_warning():
     assert {line.level for line in lines if 'waiting for /clock' in line.msg} == {INFO}
 
 
+@pytest.mark.slow
 def test_an_incompatible_publisher_is_named_with_the_parameter_that_resolves_it():
     with live_helpers.Domain() as domain:
         domain.start(

@@ -21,6 +21,7 @@ from helpers.processes import end_session, start, until
 from helpers.records import with_scaled_noise
 from helpers.robots import number_sent, Robots, sent
 from helpers.ros import summary_of, write_parameters
+from helpers.slow import slow
 
 live_helpers = optional('helpers.live')
 
@@ -40,7 +41,7 @@ AHEAD = 1.0
 
 #: Playback rate.
 fast_and_real_time = pytest.mark.parametrize(
-    'rate', [5, pytest.param(1, marks=pytest.mark.slow)])
+    'rate', [5, slow(1)])
 
 
 def simulated(path, loops, *robots):

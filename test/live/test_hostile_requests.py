@@ -10,6 +10,7 @@ import pytest
 
 from helpers.optional import optional
 from helpers.ros import write_parameters
+from helpers.slow import slow
 
 live_helpers = optional('helpers.live')
 messages = optional('rcl_interfaces.msg')
@@ -95,7 +96,7 @@ def test_a_new_robot_whose_topics_ros_refuses_leaves_the_team_as_it_is(domain):
 
 
 @pytest.mark.parametrize(('node', 'values'), [
-    ('detector', {}), ('adapter', {'formats': ['marker_array']}), ('simulator', {})])
+    slow('detector', {}), slow('adapter', {'formats': ['marker_array']}), ('simulator', {})])
 def test_a_node_without_changeable_parameters_says_why_it_changes_none(
     domain, tmp_path, node, values,
 ):

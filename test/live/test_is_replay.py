@@ -11,6 +11,7 @@ from fej_slam_ros.ros.messages import deserialize
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
 from helpers.ros import run_verb, summary_of, write_parameters
+from helpers.slow import slow
 
 live_helpers = optional('helpers.live')
 
@@ -72,8 +73,7 @@ def arrived(poses, expected):
     return lambda: all(len(poses[robot]) >= len(expected[robot]) for robot in ROBOTS)
 
 
-@pytest.mark.parametrize(
-    'order', [odometry_first, pytest.param(with_losses, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('order', [odometry_first, slow(with_losses)])
 def test_a_live_run_equals_its_replay(domain, tmp_path, order):
     simulated = simulation.parse(WORLD)
     bags.write(tmp_path / 'recorded', simulated.records(), robot_ids=simulated.robot_ids)

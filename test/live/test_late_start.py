@@ -115,6 +115,7 @@ def test_a_robot_whose_motion_is_unknown_is_not_in_map_and_says_why(domain, cont
         for report in reports for status in report.status))
 
 
+@pytest.mark.slow
 def test_a_smoother_that_hears_a_moving_anchor_late_warns_where_map_begins(domain, context):
     robots = Robots(domain, context)
     robots.send(100)

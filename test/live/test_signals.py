@@ -15,6 +15,7 @@ from helpers.optional import optional
 from helpers.paths import BAGS
 from helpers.processes import end_session, start_verb, until
 from helpers.ros import meeting, raw_record, write_parameters
+from helpers.slow import slow
 
 live_helpers = optional('helpers.live')
 services = optional('rcl_interfaces.srv')
@@ -82,10 +83,11 @@ def test_an_interrupted_replay_leaves_neither_part_files_nor_a_partial_bag(
     assert not left_in(out)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('numbers', [
     [signal.SIGINT, signal.SIGTERM],
-    pytest.param([signal.SIGTERM, signal.SIGTERM, signal.SIGINT], marks=pytest.mark.slow),
-    pytest.param([signal.SIGINT, signal.SIGINT], marks=pytest.mark.slow)])
+    [signal.SIGTERM, signal.SIGTERM, signal.SIGINT],
+    [signal.SIGINT, signal.SIGINT]])
 def test_a_second_signal_loses_no_file_of_a_node(domain, tmp_path, numbers):
     given = write_parameters(
         tmp_path / 'team.yaml', **TEAM, output=str(tmp_path / 'run'), stale_after=60.0,
@@ -107,8 +109,7 @@ def test_a_second_signal_loses_no_file_of_a_node(domain, tmp_path, numbers):
     assert not [name for name in left_in(tmp_path / 'run') if name.endswith('.part')]
 
 
-@pytest.mark.parametrize(
-    'number', [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('number', [signal.SIGINT, slow(signal.SIGTERM)])
 def test_play_answers_parameter_services_until_a_signal_ends_it_with_status_0(domain, number):
     playing = domain.start('play', BAGS / 'two_circles', '--rate', 1e-3, '--no-wait')
 

@@ -125,6 +125,7 @@ def test_robots_are_added_to_a_smoother_and_removed(domain, tmp_path):
     assert (tmp_path / 'out' / 'trajectory_r2.csv').read_text().count('\n') >= 5
 
 
+@pytest.mark.slow
 def test_a_smoother_goes_on_when_its_anchor_is_removed_before_it_has_sent_odometry(
     domain, tmp_path,
 ):

@@ -8,6 +8,7 @@ import pytest
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.ros import raw_record, run_settings
+from helpers.slow import slow
 
 #: Two robots among 12 landmarks for 12 s, whose data arrive in order of their stamps.
 RECORDS = [
@@ -48,8 +49,7 @@ def changing_run(seed, probability):
     return session, steps + list(session.estimator.close())
 
 
-@pytest.mark.parametrize(
-    'seed', [0, 1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(2, 40))])
+@pytest.mark.parametrize('seed', [0, 1, *map(slow, range(2, 40))])
 def test_every_message_is_counted_once_and_every_robot_goes_on_in_order(seed):
     session, steps = changing_run(seed, probability=0.2)
 

@@ -21,6 +21,7 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.experiments.real_data.association_score import AssociationScore
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.sim.sensors import measure, SensorSettings
+from helpers.slow import slow
 
 SENSORS = SensorSettings(
     (0.1, 0.1, math.radians(1.0)), (0.15, 0.15), clutter=0.3, missed=0.1)
@@ -79,8 +80,7 @@ def assert_consistent(runs):
 
 
 @pytest.mark.parametrize('robots', [1, 2])
-@pytest.mark.parametrize(
-    'seeds', [range(2), pytest.param(range(20), marks=pytest.mark.slow)], ids=['2', '20'])
+@pytest.mark.parametrize('seeds', [range(2), slow(range(20))], ids=['2', '20'])
 def test_matches_are_correct_landmarks_unique_and_poses_consistent(
     seeds, robots
 ):
@@ -96,6 +96,7 @@ def test_matches_are_correct_landmarks_unique_and_poses_consistent(
     assert_consistent(runs)
 
 
+@pytest.mark.slow
 def test_robots_that_start_with_an_uncertain_heading_close_no_loop_wrongly():
     """To first order, a pose 0.3 rad off is outside of its covariance after a few metres."""
     runs = [Run(seed, 4, (1.0, 1.0, 0.3), 1.0, filter='invariant') for seed in range(8)]

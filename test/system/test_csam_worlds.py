@@ -14,10 +14,10 @@ from fej_slam_ros.core.csam.rendezvous_alignment import alignment_window
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.experiments.andersson import experiment
 from helpers.csam import in_another_frame, rendezvous_of
+from helpers.slow import slow
 
 
-@pytest.mark.parametrize(
-    'world', [pytest.param('map_joining', marks=pytest.mark.slow), 'sensor_extension'])
+@pytest.mark.parametrize('world', [slow('map_joining'), 'sensor_extension'])
 def test_the_joint_map_and_all_covariances_are_those_of_gtsam(world):
     gtsam_reference = pytest.importorskip(
         'helpers.gtsam_reference', reason='gtsam is not installed')
@@ -49,7 +49,7 @@ def test_maps_in_any_frame_are_aligned_correctly_in_ten_iterations(
         assert_allclose(compose(aligned.base_node.pose, frame), expected, atol=1e-7)
 
 
-@pytest.mark.parametrize('reach', [pytest.param(30.0, marks=pytest.mark.slow), 1000.0])
+@pytest.mark.parametrize('reach', [slow(30.0), 1000.0])
 def test_the_joint_map_does_not_depend_on_the_frames(reach):
     solved = experiment.solve(experiment.CsamTask('map_joining', 2))
     rng = np.random.default_rng(6)

@@ -13,12 +13,12 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from helpers.core import wrapped
+from helpers.slow import slow
 
 TEAM = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1', gate_probability=1.0)
 
 
-@pytest.mark.parametrize(
-    'seed', [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 4))])
+@pytest.mark.parametrize('seed', [0, *map(slow, range(1, 4))])
 @pytest.mark.parametrize('environment', ENVIRONMENTS)
 def test_final_poses_of_the_filter_are_within_three_sigma_of_the_smoother(environment, seed):
     filter_, smoother = Estimator(TEAM), TeamSmoother(TEAM)

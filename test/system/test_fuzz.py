@@ -14,6 +14,7 @@ from fej_slam_ros.ros.parameters import RunSettings
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.ros import cloud, drive, odometry_message, raw, raw_record, seen
+from helpers.slow import slow
 
 SETTINGS = Settings((RobotSettings('r1', 1), RobotSettings('r2', 2)), 'r1')
 #: Two robots among 12 landmarks for 5 s.
@@ -91,7 +92,7 @@ def bad_messages(seed, count, ms):
                     yield pair
 
 
-@pytest.mark.parametrize('count', [1000, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('count', [1000, slow(10_000)])
 def test_malformed_messages_change_no_bit_and_are_counted_by_reason(count):
     expected = EstimatorSession(RunSettings(SETTINGS), None)
     in_peace = drive(expected, GOOD)

@@ -10,6 +10,7 @@ import pytest
 from fej_slam_ros.sim.laser_world import LaserWorldSettings, make_laser_world
 from fej_slam_ros.sim.lidar import LidarSettings
 from helpers.lasers import detect_in_world, estimate_in_world
+from helpers.slow import slow
 
 ROOM = LaserWorldSettings(landmarks=20, post_radius=(0.05, 0.4), people=3, inner_walls=3, loops=1)
 LINE = LaserWorldSettings(loops=1)
@@ -43,7 +44,7 @@ def test_detection_over_twenty_rooms_is_as_good_as_documented():
     assert 0.85 < np.mean([np.mean(scores.nees) for scores in runs]) < 1.25
 
 
-@pytest.mark.parametrize('seed', [0, 4])
+@pytest.mark.parametrize('seed', [slow(0), 4])
 def test_robots_with_unknown_starts_join_by_posts(seed):
     rng = np.random.default_rng(seed)
     world = make_laser_world(replace(LINE, steps_per_loop=400, loop_lengths=(12.0, 10.0)), rng)

@@ -17,6 +17,7 @@ from fej_slam_ros.ros.session import simulation
 from helpers.optional import optional
 from helpers.paths import ROOT
 from helpers.processes import start
+from helpers.slow import slow
 
 fake_launch = optional('helpers.fake_launch')
 
@@ -381,9 +382,7 @@ class Launch:
 @pytest.mark.parametrize(
     ('name', 'given', 'topic'),
     [('demo', {'namespace': 'fleet'}, '/fleet/r2/pose'),
-     pytest.param(
-         'replay', {'bag': str(BAG), 'rate': '8.0', 'robots': 'r1,r2'}, '/r2/pose',
-         marks=pytest.mark.slow)])
+     slow('replay', {'bag': str(BAG), 'rate': '8.0', 'robots': 'r1,r2'}, '/r2/pose')])
 def test_a_launched_team_is_estimated(launched, domain, name, given, topic):
     poses = domain.listen(topic, POSE)
 
@@ -394,7 +393,7 @@ def test_a_launched_team_is_estimated(launched, domain, name, given, topic):
 
 @pytest.mark.slow
 @pytest.mark.ros
-@pytest.mark.parametrize('victim', [ESTIMATOR, pytest.param(RVIZ, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('victim', [ESTIMATOR, slow(RVIZ)])
 @pytest.mark.usefixtures('rviz_installed')
 def test_when_a_process_of_the_demo_dies_none_is_left(launched, domain, victim):
     poses = domain.listen('/r1/pose', POSE)

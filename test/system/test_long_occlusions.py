@@ -15,6 +15,7 @@ from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import circles, estimate
 from helpers.records import without_ids
+from helpers.slow import slow
 
 #: Over the occlusion, the standard deviation of the heading grows to 0.4 rad.
 SENSORS = SensorSettings((0.05, 0.05, radians(3.0)), (0.2, 0.2))
@@ -87,7 +88,7 @@ def test_the_only_robot_of_a_map_stays_in_it():
 
 
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
-@pytest.mark.parametrize('robots', [('r1',), ('r1', 'r2')])
+@pytest.mark.parametrize('robots', [('r1',), slow(('r1', 'r2'))])
 def test_a_robot_comes_back_by_landmarks_without_ids(kind, robots):
     """By single scans, they stay lost or close a loop wrongly: NEES/3 up to 488."""
     runs = [after_an_occlusion_without_ids(seed, robots, filter=kind) for seed in range(3)]

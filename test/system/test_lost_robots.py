@@ -16,6 +16,7 @@ from fej_slam_ros.core.records import Scan
 from helpers.lost_robots import (
     drive, fault_at, FAULTS, HEALTHY, is_of_lost, LOST, run, SENSORS, set_clock, slip, STEP,
     survey)
+from helpers.slow import slow
 
 #: Faults during a run, and from its start.
 DURING = [name for name in FAULTS if 'start' not in name]
@@ -67,7 +68,7 @@ def test_a_robot_that_turns_by_a_slip_is_corrected_by_the_next_scan(turned, kind
 
 
 @pytest.mark.parametrize('kind', ['fej', 'invariant'])
-@pytest.mark.parametrize('fault', ['slip, 3 times', 'slip, turning'])
+@pytest.mark.parametrize('fault', [slow('slip, 3 times'), 'slip, turning'])
 def test_a_robot_that_only_others_observe_is_found_after_its_wheels_slipped(fault, kind):
     since, rng = 150 * STEP, np.random.default_rng(1)
     records = [

@@ -17,6 +17,7 @@ from fej_slam_ros.core.snapshot import snapshot
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import MS, odometry, scan, team, true_pose
 from helpers.ros import odometry_message, raw, raw_record, run_settings, seen
+from helpers.slow import slow
 
 #: Number of messages after which all queues and buffers are full.
 FULL = 25_000
@@ -48,13 +49,9 @@ def given(ms):
 
 
 @pytest.mark.parametrize(('make', 'reason'), [
-    pytest.param(lambda ms: odometry('r1', ms, (0.0, 0.0, 0.0)), None, marks=pytest.mark.slow),
-    pytest.param(
-        lambda ms: scan('r1', ms, [(1, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY,
-        marks=pytest.mark.slow),
-    pytest.param(
-        lambda ms: scan('r1', 100, [(ms, (1.0, 0.0))]), RejectionReason.TOO_LARGE,
-        marks=pytest.mark.slow),
+    slow(lambda ms: odometry('r1', ms, (0.0, 0.0, 0.0)), None),
+    slow(lambda ms: scan('r1', ms, [(1, (1.0, 0.0))]), RejectionReason.BEFORE_ODOMETRY),
+    slow(lambda ms: scan('r1', 100, [(ms, (1.0, 0.0))]), RejectionReason.TOO_LARGE),
     (lambda ms: true_pose('r2', ms, (0.0, 0.0, 0.0)), RejectionReason.AFTER_ODOMETRY),
     (given, RejectionReason.AFTER_ODOMETRY),
 ], ids=['odometry', 'scans', 'scans at one stamp', 'ground truth', 'given poses'])

@@ -10,6 +10,7 @@ from fej_slam_ros.core.records import PriorMap, TrueLandmarks
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from helpers.core import circles, estimate, turn
 from helpers.records import odometry, scan
+from helpers.slow import slow
 
 TEAM = (RobotSettings('r1', 1), RobotSettings('r2', 2))
 #: Longer than wide and correlated.
@@ -40,7 +41,7 @@ def sees(robot, ms, pose, numbers):
     return scan(robot, ms, [(i, C.T @ (np.array(POINTS[i]) - pose[:2])) for i in numbers])
 
 
-@pytest.mark.parametrize('anchor', [pytest.param('r1', marks=pytest.mark.slow), ''])
+@pytest.mark.parametrize('anchor', [slow('r1'), ''])
 def test_in_a_surveyed_map_poses_are_more_accurate_and_consistent(anchor):
     nees, errors = [], {'survey': [], 'none': []}
     for seed in range(50):

@@ -11,6 +11,7 @@ from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
 from helpers.records import with_scaled_noise
 from helpers.ros import raw_record, run_settings, through_cdr
+from helpers.slow import slow
 
 OK, WARN = 0, 1
 
@@ -33,7 +34,7 @@ def reports(seed, seconds, noise_told_as=1.0):
 
 @pytest.mark.parametrize(
     ('seed', 'minutes'),
-    [(0, 2)] + [pytest.param(seed, 10, marks=pytest.mark.slow) for seed in range(20)])
+    [(0, 2)] + [slow(seed, 10) for seed in range(20)])
 def test_a_consistent_filter_stays_ok(seed, minutes):
     for report in reports(seed, 60 * minutes):
         assert report == [
@@ -41,8 +42,7 @@ def test_a_consistent_filter_stays_ok(seed, minutes):
             (OK, 'running')]
 
 
-@pytest.mark.parametrize(
-    'seed', [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(1, 20))])
+@pytest.mark.parametrize('seed', [0, *map(slow, range(1, 20))])
 def test_a_filter_with_a_third_of_the_noise_gives_a_warning_within_a_minute(seed):
     for number in range(2):
         assert any(

@@ -71,6 +71,7 @@ def test_a_fixed_lag_smoother_forgets_what_is_older_only():
     assert np.trace(shorter) > 3.0 * np.trace(whole)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not mrpt.is_installed(), reason='MRPT is not installed')
 @pytest.mark.parametrize('method', mrpt.METHODS)
 def test_mrpt_estimates_agree_with_our_filter(method):

@@ -16,6 +16,7 @@ from fej_slam_ros.ros.session import simulation
 from helpers.paths import BAGS
 from helpers.records import claiming, odometry, scan, with_scaled_noise, without_ids
 from helpers.ros import raw_record, run_verb, write_bag, write_parameters
+from helpers.slow import slow
 
 #: Covariances of odometry are for half of its noise, those of observations for double.
 RECORDS = claiming(
@@ -67,6 +68,7 @@ def test_factors_are_those_of_the_simulation(calibrate, places, records, options
         assert abs(math.log(scale / true)) < 4.0 * float(standard_error) / float(factor)
 
 
+@pytest.mark.slow
 def test_factors_are_found_from_landmarks_without_ids(calibrate):
     simulated = simulation.parse({
         'loops': 2, 'rate': 1, 'landmarks': 30, 'seed': 3, 'landmark_sigma': [0.03, 0.03]})
@@ -86,6 +88,7 @@ def test_factors_are_found_from_landmarks_without_ids(calibrate):
         assert abs(float(nis) - 1.0) < 2 * 0.16
 
 
+@pytest.mark.slow
 def test_observations_without_ids_are_matched_again_with_the_noise_that_was_found(
     calibrate, places,
 ):
@@ -112,6 +115,7 @@ def test_the_filter_is_consistent_after_calibration(calibrate):
         assert abs(math.log(nees_after)) < abs(math.log(nees_before))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('options', 'warns'), [
     ((), False), (('--from', 'innovations'), False),
     (('--from', 'innovations', '--seconds', '10'), True)])
@@ -139,6 +143,7 @@ def test_the_warning_has_the_factor_that_is_written_within_its_limits(calibrate,
     assert 'odometry_noise_scale 0.001 is written, but' in printed
 
 
+@pytest.mark.slow
 def test_without_ground_truth_a_robot_with_other_noise_has_its_own_scale(calibrate, places):
     records = [
         with_scaled_noise(0.2, r) if isinstance(r, Odometry) and r.robot == 'r2' else r
@@ -185,7 +190,8 @@ def with_odometry_errors(records, scale):
 
 
 @pytest.mark.parametrize(('options', 'source'), [
-    (('--from', 'truth'), 'truth'), (('--from', 'innovations', '--seconds', '20'), 'landmarks')])
+    (('--from', 'truth'), 'truth'),
+    slow(('--from', 'innovations', '--seconds', '20'), 'landmarks')])
 def test_systematic_errors_of_odometry_are_corrected(calibrate, places, options, source):
 
     _, printed, _ = calibrate(with_odometry_errors(ON_CIRCLES, (0.94, 1.05)), *options)
@@ -200,6 +206,7 @@ def test_systematic_errors_of_odometry_are_corrected(calibrate, places, options,
     assert settings.odometry_noise_scale == pytest.approx(1.0, abs=0.25)
 
 
+@pytest.mark.slow
 def test_earlier_errors_of_odometry_are_replaced_by_those_found(calibrate, places):
     write_parameters(
         places[1], **{'robots': ['r1', 'r2'], 'r1.odometry_scale': [0.97, 1.02],
@@ -253,8 +260,8 @@ def with_growing_noise(growth):
         if isinstance(record, Scan) else record for record in precise]
 
 
-@pytest.mark.parametrize('source', ['truth', 'innovations'])
-@pytest.mark.parametrize('growth', [0.0, 0.5])
+@pytest.mark.parametrize('source', ['truth', slow('innovations')])
+@pytest.mark.parametrize('growth', [slow(0.0), 0.5])
 def test_noise_that_grows_with_the_range_is_found(calibrate, places, growth, source):
     _, printed, _ = calibrate(with_growing_noise(growth), '--from', source)
 
@@ -267,6 +274,7 @@ def test_noise_that_grows_with_the_range_is_found(calibrate, places, growth, sou
             1.0 + growth * at, rel=0.15 if source == 'truth' else 0.3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('is_sensor', [True, False])
 def test_without_ground_truth_a_shared_map_tells_wrong_ranges_from_wrong_distances(
     calibrate, places, is_sensor,
@@ -297,6 +305,7 @@ def test_without_ground_truth_a_shared_map_tells_wrong_ranges_from_wrong_distanc
     assert r1.observation_bearing_bias == 0.0
 
 
+@pytest.mark.slow
 def test_without_ground_truth_the_direction_of_travel_shows_a_bearing_bias(calibrate, places):
     def turned(record):
         if not isinstance(record, Scan) or record.robot != 'r1':

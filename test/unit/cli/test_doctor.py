@@ -21,6 +21,7 @@ from helpers.faults import (
     planted, positions, recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose,
     with_poses, without)
 from helpers.ros import empty_cloud, raw_record, run_verb, write_bag, write_parameters
+from helpers.slow import slow
 
 C, R = 'two_circles', 'rendezvous'
 
@@ -274,7 +275,7 @@ def test_other_counts_in_the_metadata_are_found(doctor, tmp_path):
     assert finding['what'] == 'metadata.yaml lists 128 messages, the files have 127'
 
 
-@pytest.mark.parametrize('storage', ['mcap', pytest.param('sqlite3', marks=pytest.mark.slow)])
+@pytest.mark.parametrize('storage', ['mcap', slow('sqlite3')])
 @pytest.mark.parametrize('change', HARMLESS)
 def test_a_harmless_change_has_no_findings(doctor, tmp_path, change, storage):
     path = planted(tmp_path / 'other', HARMLESS[change](entries(C)), storage)
@@ -324,7 +325,7 @@ def test_stamps_in_whole_seconds_are_named_and_not_what_they_cause(doctor, tmp_p
 
 
 @pytest.mark.parametrize('fault', [
-    'gap', 'never join', *(pytest.param(fault, marks=pytest.mark.slow) for fault in (
+    'gap', 'never join', *map(slow, (
         'odometry missing', 'clock ahead', 'late', 'duplicate', 'frame of scans',
         'odometry covariance huge', 'teleport', 'negative ids'))])
 def test_a_fault_is_found_without_parameters(doctor, tmp_path, fault):
@@ -348,7 +349,7 @@ def test_a_robot_that_is_lost_at_the_end_is_not_said_to_have_never_joined(doctor
 
 
 @pytest.mark.parametrize(('change', 'cause'), [
-    (each('r1/odom r2/odom', scaled(100.0)), 'speed'),
+    slow(each('r1/odom r2/odom', scaled(100.0)), 'speed'),
     (each('r1/landmarks r2/landmarks', columns(x=lambda x: 100 * x, y=lambda y: 100 * y)),
      'range')])
 def test_centimetres_are_not_taken_for_a_wrong_place_of_the_sensor(
@@ -427,7 +428,7 @@ def without_ids(e):
     # or its observations may be of several landmarks.
     (without('r2/landmarks', slice(25)), [0.0, -18.5, 0.4], 0.02),
     (without('r2/landmarks', slice(1)), [9.0, 9.0, 2.0], 0.0),
-    (each('r1/landmarks r2/landmarks', without_ids), [5.0, -12.0, 0.6], 0.5)])
+    slow(each('r1/landmarks r2/landmarks', without_ids), [5.0, -12.0, 0.6], 0.5)])
 def test_a_wrong_start_pose_is_named(doctor, tmp_path, fault, start, sigma):
     path = planted(tmp_path / 'late', fault(entries(C)))
     params = write_parameters(tmp_path / 'params.yaml', robots=['r1', 'r2'], **{
@@ -560,6 +561,7 @@ def test_every_rejection_reason_has_a_cure():
         CURES.keys() | REASONS_OF_THE_RUN | {RejectionReason.AFTER_TIME_JUMP})
 
 
+@pytest.mark.slow
 def test_a_robot_on_circles_with_coarse_odometry_has_its_sensor_where_it_is(doctor, tmp_path):
     world = write_parameters(
         tmp_path / 'world.yaml', environment='circles', robots=['r1', 'r2'], loops=3,

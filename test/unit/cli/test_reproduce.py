@@ -12,6 +12,7 @@ import pytest
 
 from helpers.processes import OnTerminal
 from helpers.ros import csv_rows, run_verb
+from helpers.slow import slow
 
 PNG = b'\x89PNG\r\n\x1a\n'
 CSAM = {
@@ -73,6 +74,7 @@ def test_another_seed_gives_other_noise(reproduce, tmp_path):
     assert all(a['r1_pos'] != b['r1_pos'] for a, b in zip(one, other, strict=True))
 
 
+@pytest.mark.slow
 def test_figures_have_the_numbers_of_the_paper(reproduce, tmp_path):
     status, *_ = reproduce('figures', '--only', '1/20', '2/60', '--runs', '1')
 
@@ -272,7 +274,7 @@ def command_of(pid):
 
 
 @pytest.mark.parametrize(('number', 'to_all'), [
-    (signal.SIGINT, True), pytest.param(signal.SIGTERM, False, marks=pytest.mark.slow)])
+    (signal.SIGINT, True), slow(signal.SIGTERM, False)])
 def test_an_interrupt_ends_the_workers_and_keeps_finished_runs(tmp_path, number, to_all):
     process = OnTerminal(
         'reproduce', 'tables', '--only', '2/20', '--runs', '1000', '--output', tmp_path / 'out',

@@ -17,9 +17,10 @@ from fej_slam_ros.core.estimator import BrokenEstimateError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from helpers.calibration import error, received, simulated
 from helpers.records import claiming, odometry, scan, team, with_scaled_noise
+from helpers.slow import slow
 
 
-@pytest.mark.parametrize('seed', [1, 2, 3])
+@pytest.mark.parametrize('seed', [1, slow(2), slow(3)])
 def test_factors_equal_those_of_the_simulation(seed):
     records = received(claiming(simulated(seed), {Odometry: 0.5, Scan: 2.0}))
 
@@ -46,6 +47,7 @@ def test_robots_that_differ_have_factors_of_their_own(factors, expected):
     assert all(error(found[robot], scale) < 4.0 for robot, scale in expected.items())
 
 
+@pytest.mark.slow
 def test_standard_deviations_far_too_small_have_their_factor_too():
     # Some drivers fill in constants such as 1e-7 (m/s)^2.
     records = received(claiming(simulated(1), {Odometry: 1.0 / 300.0}))
@@ -83,7 +85,7 @@ def _with_last_moved(record):
     return replace(record, observations=(*others, replace(last, z=last.z + 10.0)))
 
 
-@pytest.mark.parametrize(('scans', 'kind'), [(Scan, 'landmark'), (RobotScan, 'robot')])
+@pytest.mark.parametrize(('scans', 'kind'), [(Scan, 'landmark'), slow(RobotScan, 'robot')])
 def test_outliers_change_the_factors_little(scans, kind):
     records = simulated(1, robot_sigma=[0.2, 0.2])
     # Every twentieth scan with observations has a wrong one.
@@ -99,6 +101,7 @@ def test_outliers_change_the_factors_little(scans, kind):
     assert 0 <= counts(measured)[kind] - found[kind].samples - len(wrong) <= 1
 
 
+@pytest.mark.slow
 def test_factors_do_not_depend_on_the_heading_that_robots_need_to_join():
     # With 0.05 rad, the noise would decide when the second robot joins.
     records = received(simulated(2, range=6, robot_sigma=[0.2, 0.2]))
@@ -131,6 +134,7 @@ def usual_factors():
     return most_likely_scales(team(), with_faults(), ['odometry', 'landmark'])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('setting', [
     {'inflate_rejected_scans': True}, {'moved_landmarks': 'ignore'}, {'join_probability': 0.01}])
 def test_factors_do_not_depend_on_what_the_estimator_does_with_rejected_data(setting):
@@ -140,6 +144,7 @@ def test_factors_do_not_depend_on_what_the_estimator_does_with_rejected_data(set
     assert found == usual_factors()
 
 
+@pytest.mark.slow
 def test_factors_are_those_of_the_simulation_if_each_robot_has_landmark_ids_of_its_own():
     records = [
         replace(r, observations=tuple(replace(o, id=31 - o.id) for o in r.observations))

@@ -16,6 +16,7 @@ from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
 from helpers.calibration import error, received, simulated
 from helpers.records import claiming, MS, odometry, robot_scan, scan, team
+from helpers.slow import slow
 
 #: Number of messages for which an error persists, and number of messages in 5 s at 5 Hz.
 LENGTH, WINDOW = 12, 25
@@ -71,7 +72,7 @@ def with_persistent_observation_errors(records, sigma):
     return [*map(with_errors, records)]
 
 
-@pytest.mark.parametrize('seed', [1, 2, 3])
+@pytest.mark.parametrize('seed', [1, slow(2), slow(3)])
 def test_factors_of_independent_errors_equal_those_of_the_simulation(seed):
     records = received(claiming(
         simulated(seed, loops=8, rate=1, robot_sigma=[0.2, 0.2]), {Scan: 2.0, RobotScan: 0.5}))
@@ -92,6 +93,7 @@ def test_a_factor_beyond_the_range_of_its_parameter_is_not_determined(true, is_k
     assert found['landmark'].is_known() == is_known
 
 
+@pytest.mark.slow
 def test_errors_of_odometry_that_persist_count_over_5_s():
     records = received(with_persistent_odometry_errors(
         simulated(
@@ -107,6 +109,7 @@ def test_errors_of_odometry_that_persist_count_over_5_s():
     assert single.scale < 0.8 * FACTOR
 
 
+@pytest.mark.slow
 def test_errors_of_observations_that_persist_count_over_5_s_but_for_what_the_map_follows():
     records = received(with_persistent_observation_errors(
         simulated(2, loops=6, rate=5, landmark_sigma=[1e-6, 1e-6]), 0.1))

@@ -13,6 +13,7 @@ from fej_slam_ros.core.records import NO_ID, Odometry, PriorMap, Scan, TrueLandm
 from fej_slam_ros.experiments.real_data.association_score import AssociationScore
 from fej_slam_ros.ros.session import simulation
 from helpers.records import claiming, odometry, scan, team, without_ids
+from helpers.slow import slow
 
 #: Landmarks lie farther apart than robots and observations are uncertain.
 SIMULATION = {'loops': 1, 'landmarks': 30, 'seed': 3, 'landmark_sigma': [0.03, 0.03]}
@@ -76,7 +77,7 @@ def test_without_observations_without_ids_nothing_is_matched():
     assert not are_without_ids(received(simulated(['r1'])))
 
 
-@pytest.mark.parametrize(('of_odometry', 'of_landmarks'), [(0.5, 2.0), (2.0, 0.5)])
+@pytest.mark.parametrize(('of_odometry', 'of_landmarks'), [(0.5, 2.0), slow(2.0, 0.5)])
 def test_repeated_matching_leads_to_the_noise_of_the_simulation(of_odometry, of_landmarks):
     records = received(without_ids(claiming(
         simulated(['r1'], loops=2), {Odometry: of_odometry, Scan: of_landmarks})))

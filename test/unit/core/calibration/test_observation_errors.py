@@ -86,6 +86,7 @@ def test_observations_of_robots_alone_are_enough():
     assert (errors.values != NO_ERRORS).all()
 
 
+@pytest.mark.slow
 def test_standard_errors_are_the_scatter_of_many_runs():
     found = [fit(run(1.03, 0.02, seed)[0]) for seed in range(40)]
 

@@ -108,6 +108,7 @@ def test_the_delay_of_stamps_is_found(late):
     assert fit.delayed < 0.5 * min(fit.as_given, fit.moved)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('late', [0.0, 0.2, -0.2])
 def test_the_gain_by_a_delay_tells_it_from_the_noise_of_coarse_odometry(late):
     # 0.07 m and 0.04 rad in a second: most of the disagreement remains.
@@ -120,6 +121,7 @@ def test_the_gain_by_a_delay_tells_it_from_the_noise_of_coarse_odometry(late):
     assert fit.delay == pytest.approx(late, abs=0.08)
 
 
+@pytest.mark.slow
 def test_a_robot_that_stands_still_shows_no_delay():
     _, scans = data(seconds=300.0)
     still = [Odometry('r', t * NS // 10, np.zeros(3), None) for t in range(3000)]

@@ -28,6 +28,7 @@ from fej_slam_ros.core.records import Motion, NO_ID, NS, Observation, Odometry, 
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.snapshot import restore, snapshot
 from helpers.core import frames, random_covariance
+from helpers.slow import slow
 
 Q, R = np.diag([0.05, 0.05, 0.01]) ** 2, np.diag([0.1, 0.1]) ** 2
 
@@ -458,7 +459,7 @@ def test_a_prior_map_is_updated_in_submaps(monkeypatch, kind):
     same_frames(whole, compressed)
 
 
-@pytest.mark.parametrize('kind', ['fej', 'invariant'])
+@pytest.mark.parametrize('kind', [slow('fej'), 'invariant'])
 def test_observations_without_ids_give_the_same_result_with_submaps(monkeypatch, kind):
     monkeypatch.setattr(frame_groups, 'AROUND_ROBOTS', ActiveSubmap(100, 10))
     start, happened = town(landmarks=120, steps=500, seed=9)

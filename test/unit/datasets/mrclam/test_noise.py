@@ -20,6 +20,7 @@ from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable
 from fej_slam_ros.datasets.mrclam.observation_errors import error_statistics, observation_errors
 from fej_slam_ros.datasets.series import Series
 from helpers.mrclam import LANDMARKS, write_set
+from helpers.slow import slow
 
 RATE, SECONDS = 50, 900
 DELAY, SCALE = 0.14, (0.9, 0.8)
@@ -87,7 +88,7 @@ def test_delay_and_scale_are_measured(synthetic):
     assert (ahead - 0.25 * measured.slowdown, turning) == pytest.approx(SCALE, abs=0.02)
 
 
-@pytest.mark.parametrize('truth_seconds', [0.0, 10.0])
+@pytest.mark.parametrize('truth_seconds', [slow(0.0), 10.0])
 def test_the_speed_that_is_lost_while_turning_is_measured(tmp_path, truth_seconds):
     data = synthetic_set(tmp_path, truth_seconds=truth_seconds, slowdown=0.9, heading=(0, 0.0005))
 
@@ -98,7 +99,7 @@ def test_the_speed_that_is_lost_while_turning_is_measured(tmp_path, truth_second
     assert measured.odometry_scale[0] == pytest.approx(SCALE[0], abs=0.06)
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', [0, slow(1), slow(2)])
 def test_the_delay_is_measured_with_the_noise_of_set_6(tmp_path, seed):
     # Variances per metre and per radian of docs/data.md.
     noisy = synthetic_set(tmp_path, heading=(0.0060, 0.0068), held=2, seed=seed)
@@ -115,7 +116,7 @@ def test_the_scale_of_turns_is_measured_on_robots_that_turn_around(tmp_path):
     assert best_options(turning).odometry_scale == pytest.approx(SCALE, abs=0.02)
 
 
-@pytest.mark.parametrize('truth_seconds', [0.0, 10.0, 50.0])
+@pytest.mark.parametrize('truth_seconds', [slow(0.0), slow(10.0), 50.0])
 def test_turns_that_were_not_commanded_are_measured_also_with_sparse_truth(
         tmp_path, truth_seconds):
     data = synthetic_set(tmp_path, (-0.5, 0.03), truth_seconds)
@@ -173,7 +174,7 @@ def test_observation_noise_is_estimated_without_outliers(synthetic):
     assert measured.correlation[1.0, 2.0] == pytest.approx(0.0, abs=0.1)
 
 
-@pytest.mark.parametrize('sigmas', [(0.2, 0.02), (0.02, 0.4)])
+@pytest.mark.parametrize('sigmas', [(0.2, 0.02), slow((0.02, 0.4))])
 def test_the_noise_of_coarse_sensors_is_measured_without_outliers(tmp_path, sigmas):
     noise = best_options(synthetic_set(tmp_path, sigmas=sigmas, speed=0.5)).noise
 
@@ -224,7 +225,8 @@ def test_the_delay_of_a_camera_at_rest_is_the_default(tmp_path):
         ConversionOptions().camera_delay, abs=0.002)
 
 
-@pytest.mark.parametrize(('offset', 'per_metre'), [(0.08, 0.0), (0.0, -0.03), (0.06, -0.03)])
+@pytest.mark.parametrize(
+    ('offset', 'per_metre'), [slow(0.08, 0.0), slow(0.0, -0.03), (0.06, -0.03)])
 @pytest.mark.parametrize('truth_seconds', [0.0, 2.0])
 def test_systematic_errors_of_ranges_are_measured_and_removed(
         tmp_path, truth_seconds, offset, per_metre):
@@ -265,7 +267,7 @@ def test_with_sparse_true_poses_the_angle_of_a_camera_and_the_noise_are_measured
         [factor * variance for variance in Noise().position])
 
 
-@pytest.mark.parametrize('tau', [0.0, 6.0])
+@pytest.mark.parametrize('tau', [slow(0.0), 6.0])
 def test_the_factor_for_errors_that_persist_is_measured(tmp_path, tau):
     data = synthetic_set(tmp_path, tau=tau)
 
@@ -363,6 +365,7 @@ def test_observations_of_set_6_have_the_noise_in_its_readme(set_6):
     assert gross == pytest.approx(0.0016, abs=5e-5)
 
 
+@pytest.mark.slow
 def test_commands_of_set_6_have_the_delay_and_scale_in_its_readme(set_6):
     measured = best_options(set_6)
 
@@ -375,6 +378,7 @@ def test_commands_of_set_6_have_the_delay_and_scale_in_its_readme(set_6):
     assert 0.92 <= measured.odometry_scale[1] <= 0.98
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(('window', 'v', 'w'), [
     (0.2, 0.014, (0.046, 0.064)), (1.0, 0.011, (0.023, 0.031))])
 def test_speeds_of_set_6_have_the_errors_in_its_readme(set_6, window, v, w):

@@ -19,6 +19,7 @@ from fej_slam_ros.core.smoothing.problem import Problem
 from fej_slam_ros.experiments.andersson import experiment
 from fej_slam_ros.experiments.andersson.experiment import Scene, scene
 from fej_slam_ros.ros.session import simulation
+from helpers.slow import slow
 
 A = experiment.CsamTask('map_joining', 3)
 B = experiment.CsamTask('sensor_extension', 2)
@@ -198,7 +199,7 @@ ALONE = {
     'q': {20: 5.1, 40: 28.0, 55: 38.0, 80: 38.0}}
 
 
-@pytest.mark.parametrize('robot', ['p', pytest.param('q', marks=pytest.mark.slow)])
+@pytest.mark.parametrize('robot', ['p', slow('q')])
 def test_heading_sigmas_before_joining_are_those_of_an_independent_implementation(robot):
     sigmas = np.mean([sigmas_alone(scene('map_joining', s), robot) for s in SEEDS], axis=0)
 

@@ -134,6 +134,7 @@ def test_json_keeps_everything(results):
         for result in read] == results
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings('error')
 def test_the_figure_is_a_picture_even_of_exact_zeros(results):
     file = io.BytesIO()

@@ -17,6 +17,7 @@ from fej_slam_ros.sim.lidar import true_ranges
 from helpers.lasers import NO_WALLS
 from helpers.ros import (
     cdr, header, odometry_message, raw, run_verb, TYPES, write_bag, write_parameters)
+from helpers.slow import slow
 
 AS_GIVEN = SensorFit(500, 1.0, 1.0, np.zeros(3), True, 1.0, 0.0, 0.0, 50.0, 50.0, False)
 WORLD = {'environment': 'posts', 'steps_per_loop': 700, 'loops': 1, 'beams': 360, 'seed': 4}
@@ -105,6 +106,7 @@ def test_scans_of_a_correct_laser_have_no_finding(recorded, capsys):
     assert of_sensors(recorded, capsys) == []
 
 
+@pytest.mark.slow
 def test_a_laser_whose_beams_turn_the_other_way_is_named(recorded, tmp_path, capsys):
     def mirror(scan):
         return replace(
@@ -117,6 +119,7 @@ def test_a_laser_whose_beams_turn_the_other_way_is_named(recorded, tmp_path, cap
         ['error', f' {robot}/scan', ' sensor_mirrored'] for robot in ('r1', 'r2')]
 
 
+@pytest.mark.slow
 def test_a_laser_that_is_turned_is_named(recorded, tmp_path, capsys):
     def turn(scan):
         return replace(scan, angle_min=scan.angle_min + 0.5, angle_max=scan.angle_max + 0.5)
@@ -148,7 +151,7 @@ def of_a_turning_robot(is_reversed):
 
 
 @pytest.mark.parametrize('is_reversed', [False, True])
-@pytest.mark.parametrize('given', [False, True])
+@pytest.mark.parametrize('given', [False, slow(True)])
 def test_beams_in_the_reverse_order_of_time_are_named(tmp_path, capsys, is_reversed, given):
     messages = sorted(of_a_turning_robot(is_reversed), key=lambda message: message.received)
     bag = write_bag(tmp_path / 'bag', messages)
@@ -165,6 +168,7 @@ def test_beams_in_the_reverse_order_of_time_are_named(tmp_path, capsys, is_rever
         assert found[1].endswith(f'set reversed_beams of the detector to {str(not given).lower()}')
 
 
+@pytest.mark.slow
 def test_radius_limits_that_fit_nothing_are_named_with_the_radii(recorded, capsys):
     found = of_sensors(recorded, capsys, min_radius=0.5, max_radius=0.8)
 

@@ -28,6 +28,7 @@ from helpers.records import MS
 from helpers.ros import (
     drive, feed, meeting, meeting_truth, odometry_message, raw, raw_record, run_settings, save,
     seen, summary_of, write_bag)
+from helpers.slow import slow
 
 #: A scan that waits until odometry has named its frame, and messages that are not used.
 HELD = raw('r1/landmarks', seen((1, 5.0, 1.0), frame='r1/base_link'), 0)
@@ -331,7 +332,7 @@ def replaced(value, path, new):
     return changed
 
 
-@pytest.mark.parametrize('number', [40, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize('number', [40, slow(1500)])
 def test_a_crafted_file_is_refused_or_loaded_and_runs_no_code(path, number):
     interrupted(path, MESSAGES[:12])
     title, _, content = path.read_bytes().split(b'\n', 2)

@@ -83,6 +83,7 @@ def test_a_late_subscriber_gets_the_static_transforms_of_all_nodes(domain, node)
     assert heard == [live_helpers.on_the_wire(message.raw) for message in sent]
 
 
+@pytest.mark.slow
 def test_a_recorded_clock_is_the_only_one(domain, tmp_path):
     times = [ros.rosgraph_msgs__msg__Clock(
         clock=ros.builtin_interfaces__msg__Time(sec=sec, nanosec=0)) for sec in range(10, 60)]

@@ -69,6 +69,7 @@ def published(domain, tmp_path, world, compared):
     return {topic: [stamp(raw, types[topic]) for raw in heard[topic]] for topic in heard}
 
 
+@pytest.mark.slow
 def test_with_a_clock_the_simulator_publishes_the_simulated_bag_and_ends(domain, tmp_path):
     ticks = domain.listen('/clock', CLOCK)
 

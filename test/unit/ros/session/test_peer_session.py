@@ -641,6 +641,7 @@ def test_robots_that_list_each_other_have_the_same_ids():
     assert ids['a'] == ids['b'] == ids['c'] == {'a': 1, 'b': 2, 'c': 3}
 
 
+@pytest.mark.slow
 def test_the_summary_of_each_robot_counts_the_observations_of_all_as_the_central_one(
     clock, tmp_path
 ):
