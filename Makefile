@@ -39,7 +39,7 @@ docs: $(DEMO_STAMP)  ## the pages in docs/ that are generated from the code
 	$(VENV)/bin/python docs/generate.py
 	$(VENV)/bin/python docs/generate_api.py
 
-test: $(TEST_STAMP)  ## tests and linters, about 5 minutes on two cores
+test: $(TEST_STAMP)  ## tests and linters, 5 to 8 minutes on two cores
 	$(PYTEST)
 
 # The kernel in the source tree becomes that of the oldest numpy, which newer ones cannot import:
