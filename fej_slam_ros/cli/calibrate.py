@@ -22,7 +22,7 @@ Observations without IDs are matched by the estimator, again and again with the 
 """
 
 import argparse
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -39,7 +39,7 @@ from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.calibration import observation_errors, odometry_errors
 from fej_slam_ros.core.calibration.from_innovations import counts, run as run_estimator
 from fej_slam_ros.core.calibration.from_truth import DOF
-from fej_slam_ros.core.calibration.robot_scales import MAX_RELATIVE_ERROR
+from fej_slam_ros.core.calibration.robot_scales import MAX_RELATIVE_ERROR, NoiseScale
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate
 from fej_slam_ros.core.calibration.systematic_errors import SystematicErrors
 from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
@@ -66,6 +66,9 @@ OBSERVATION_HEADINGS = (
 
 #: Factor on noise beyond which something else is probably wrong.
 MAX_USUAL = 5.0
+#: Ratio of a robot's noise of every kind to the least of the team from which its ground truth is
+#: probably wrong.
+MAX_EVERY_KIND = 1.3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,7 +127,7 @@ def _calibrate(arguments: argparse.Namespace) -> int:
     print('\n'.join([
         *_error_remarks(settings.estimation, found.errors), *_noise_remarks(found),
         *_remarks(collector, found),
-        *_uneven(before, found.estimates),
+        *_uneven(before, found.estimates), *_wrong_truth(found.estimates, before),
         f'wrote {arguments.output}']))
     return 0
 
@@ -175,6 +178,27 @@ def _uneven(scores: Mapping[str, _Score], estimates: Estimates) -> Iterator[str]
             f'before, NIS/dof of {largest} is {nis[largest] / nis[least]:.1f} times that of'
             f' {least}: {" and ".join(of_all)} of all robots may be too large for some and too'
             f' small for others; record ground truth, or set larger ones of {largest} by hand')
+
+
+def _wrong_truth(estimates: Estimates, robots: Iterable[str]) -> Iterator[str]:
+    """Yield the robots that have more noise of every kind than others, by their ground truth."""
+    by_truth = [
+        estimate.scales for kind, estimate in estimates.items()
+        if estimate.source == TRUTH and is_known(estimates, kind)]
+    for robot in robots if len(by_truth) > 1 else ():
+        ratio = _least_ratio(robot, by_truth)
+        if ratio > MAX_EVERY_KIND:
+            yield (
+                f'{robot} has {ratio:.1f} times the noise of another robot or more, of every kind:'
+                f' the ground truth of {robot} is probably wrong; compare it with the estimate, or'
+                ' calibrate without it')
+
+
+def _least_ratio(robot: str, scales: Sequence[Mapping[str, NoiseScale]]) -> float:
+    """Return a robot's scale relative to the least in the team, the least of all kinds."""
+    return min(
+        of_kind.get(robot, of_kind['']).scale / min(noise.scale for noise in of_kind.values())
+        for of_kind in scales)
 
 
 def _error_rows(

@@ -161,6 +161,21 @@ def test_without_ground_truth_a_robot_with_other_noise_has_its_own_scale(calibra
     assert 'times that of' not in printed
 
 
+@pytest.mark.parametrize('robot', ['r1', 'r2'])
+def test_ground_truth_that_shows_more_noise_of_every_kind_is_called_wrong(calibrate, robot):
+    rng = np.random.default_rng(1)
+    # More than the noise of an observation, and than that of odometry over 5 s.
+    wrong = [
+        replace(record, pose=record.pose + rng.normal(0.0, [0.6, 0.6, 0.1]))
+        if isinstance(record, TruePose) and record.robot == robot else record
+        for record in RECORDS]
+
+    _, printed, _ = calibrate(wrong, '--from', 'truth')
+
+    named = [line for line in printed.splitlines() if 'ground truth of' in line]
+    assert [line.split()[0] for line in named] == [robot]
+
+
 def test_messages_that_were_recorded_twice_count_once(calibrate, places):
     calibrate(RECORDS)
     once = places[2].read_text()
