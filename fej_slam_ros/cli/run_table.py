@@ -11,6 +11,9 @@ from fej_slam_ros.tables import number, text_table
 RUN_HEADINGS = (
     'robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'messages', 'used',
     'messages rejected')
+#: NEES/3 that all robots exceed, and NIS per degree of freedom that none does, where the ground
+#: truth is in another frame. An overconfident filter has up to 60 and 1.
+OTHER_FRAME_NEES, CONSISTENT_NIS = 100.0, 2.0
 
 
 def run_table(summary: Mapping[str, Any]) -> str:
@@ -29,7 +32,12 @@ def run_table(summary: Mapping[str, Any]) -> str:
         reason: count for reason, count in summary['counts'].items()
         if count and reason not in ('used', 'released_without')}
     in_words = ', '.join(f'{reason} {count}' for reason, count in rejected.items())
-    lines += ['', landmarks, f'rejected messages and single observations: {in_words or "none"}']
+    lines += ['', landmarks]
+    if _is_truth_in_another_frame(summary):
+        lines.append(
+            'the ground truth is probably in another frame than map, as NEES is large and NIS is'
+            ' not: `evaluate` gives the errors after alignment')
+    lines += [f'rejected messages and single observations: {in_words or "none"}']
     if sum(rejected.values()) > sum(r['sightings_used'] for r in summary['robots'].values()):
         lines.append('more is rejected than observations are used: doctor names causes and cures')
     lines += [
@@ -39,6 +47,14 @@ def run_table(summary: Mapping[str, Any]) -> str:
     if summary['depends_on_arrival']:
         lines.append('the result depends on the order of arrival')
     return '\n'.join([*lines, f'state hash {summary["state_hash"]}'])
+
+
+def _is_truth_in_another_frame(summary: Mapping[str, Any]) -> bool:
+    nees = [summary.get('nees', {}).get(name) for name in summary['robots']]
+    of_robots = [value for value in nees if value is not None]
+    nis = [robot['per_dof'] for robot in summary.get('nis', {}).values()]
+    return bool(of_robots and nis) and (
+        min(of_robots) > OTHER_FRAME_NEES and max(nis) < CONSISTENT_NIS)
 
 
 def _row(name: str, summary: Mapping[str, Any]) -> tuple[str, ...]:

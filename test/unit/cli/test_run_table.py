@@ -40,6 +40,16 @@ def test_rmse_and_nees_are_shown_with_ground_truth():
     assert landmarks == '12 landmarks in map, RMSE 0.500 m, NEES/2 1.00'
 
 
+@pytest.mark.parametrize(('nees', 'nis', 'is_said'), [
+    ({'r1': 300.0, 'r2': 200.0}, 1.0, True), ({'r1': 300.0, 'r2': 1.0}, 1.0, False),
+    ({'r1': 300.0, 'r2': None}, 1.0, True), ({'r1': 300.0, 'r2': 200.0}, 5.0, False),
+    ({}, 1.0, False)])
+def test_ground_truth_in_another_frame_is_said(nees, nis, is_said):
+    lines = lines_of(nees=nees, nis={'r1': {'per_dof': nis}, 'r2': {'per_dof': 1.0}})
+
+    assert any('another frame than map' in line for line in lines) == is_said
+
+
 def test_an_exactly_known_pose_has_no_nees():
     _, r1, *_ = lines_of(**SCORES | {'nees': {'r1': None, 'landmarks': 1.0}})
 
