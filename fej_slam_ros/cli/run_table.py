@@ -36,7 +36,7 @@ def run_table(summary: Mapping[str, Any]) -> str:
     if _is_truth_in_another_frame(summary):
         lines.append(
             'the ground truth is probably in another frame than map, as NEES is large and NIS is'
-            ' not: `evaluate` gives the errors after alignment')
+            ' not: evaluate gives the errors after alignment')
     lines += [f'rejected messages and single observations: {in_words or "none"}']
     if sum(rejected.values()) > sum(r['sightings_used'] for r in summary['robots'].values()):
         lines.append('more is rejected than observations are used: doctor names causes and cures')
