@@ -5,7 +5,8 @@ First estimates that are too far off to linearise at, and their renewal.
 
 This is not in [Liu]. Where a map has been corrected by metres, a landmark nearby may lie in any
 direction at its first estimate, and H corrects the heading by an offset that has nothing to do
-with the true one. Its estimate then becomes its first estimate. A rotation of the map moved the
+with the true one; and a join may turn whole maps, of which all Jacobians are then wrong by that
+turn. Its estimate then becomes the first estimate of a landmark. A rotation of the map moved the
 landmark by J f, and has to move it by J f_hat: its error gets J (f_hat - f) theta, as in the
 invariant filter, with the most certain theta of the robots in whose frames it is known best. So a
 rotation of the whole state, or of the part around these robots, stays unobservable.
@@ -17,12 +18,15 @@ from numpy.linalg import norm
 from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.kernel import KERNEL
-from fej_slam_ros.core.ekf.state import JointState, pose_indices
-from fej_slam_ros.core.geometry import Indices, perpendicular
+from fej_slam_ros.core.ekf.state import JointState, pose_indices, position_indices
+from fej_slam_ros.core.geometry import Array, Indices, perpendicular
 
 #: Distance of a first estimate from the estimate of an observed point, divided by that of the
 #: observer, up to which it is kept. Beyond 1 it may lie in any direction.
 MAX_MOVED = 1.0
+#: Distance by which a join moves a landmark, divided by that of the nearest robot, up to which its
+#: first estimate is kept: where robots that had a map each meet, both maps may turn.
+MAX_MOVED_BY_JOIN = 0.2
 #: Ratio of the variances of a point in the frames of two robots up to which it may turn with both.
 SIMILAR = 10.0
 
@@ -33,6 +37,16 @@ def far_points(state: JointState, columns: Indices) -> Indices:
     moved = norm(estimates[:, 3:] - state.x_first.take(points), axis=1)
     distance = norm(estimates[:, 3:] - estimates[:, :2], axis=1)
     return np.unique(points[moved > MAX_MOVED * distance], axis=0)
+
+
+def turned_points(state: JointState, x_prior: Array) -> Indices:
+    """Return the landmarks (k, 2) that a join has moved far from x_prior (n,)."""
+    landmarks, robots = state.landmark_positions(), position_indices([*state.robots.values()])
+    points = state.x_hat[landmarks]
+    moved = norm(points - x_prior[landmarks], axis=1)
+    distance = norm(points[:, None] - state.x_hat[robots], axis=2).min(axis=1)
+    turned: Indices = landmarks[moved > MAX_MOVED_BY_JOIN * distance]
+    return turned
 
 
 def renew(state: JointState, points: Indices) -> None:

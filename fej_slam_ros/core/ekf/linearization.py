@@ -144,6 +144,9 @@ class Linearization:
         """
         return False
 
+    def renew_turned_points(self, state: JointState, x_prior: Array) -> None:
+        """Renew points of linearisation of landmarks that a join has moved from x_prior (n,)."""
+
     def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
         """Note which observations an update has used, if error coordinates depend on them."""
 
@@ -204,6 +207,12 @@ class FirstEstimates(Linearization):
         if len(points):
             first_estimates.renew(state, points)
         return len(points) > 0
+
+    def renew_turned_points(self, state: JointState, x_prior: Array) -> None:
+        """Renew first estimates of landmarks that a join has moved far."""
+        points = first_estimates.turned_points(state, x_prior)
+        if len(points):
+            first_estimates.renew(state, points)
 
     def _value(self, state: JointState, variable: Variable) -> Array:
         return state.first_estimate(variable)

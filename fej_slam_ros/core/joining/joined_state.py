@@ -65,6 +65,7 @@ def joined_state(
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
     before = np.concatenate([team.estimates(), carried])
     linearization.transport_errors(state, before, state.x_hat - before)
+    linearization.renew_turned_points(state, before)
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
         [key for key in team.rendezvous_points if key in group.rendezvous_points], [state])

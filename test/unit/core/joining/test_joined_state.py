@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.ekf.first_estimates import MAX_MOVED_BY_JOIN
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
 from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
 from fej_slam_ros.core.ekf.state import JointState
@@ -102,6 +103,24 @@ def test_first_estimates_of_the_team_stay_and_new_ones_are_transformed():
     assert_allclose(state.first_estimate(lone), expected, atol=1e-12)
     assert lone.owner == 'r2'
     assert state.robots['r2'].stamp == 5
+
+
+def test_landmarks_that_a_join_moves_far_have_new_first_estimates():
+    team, group, _ = two_maps(noise=0.3)
+    g = fit(team, group).pose
+
+    state = joined_state(team, group, g, FirstEstimates())
+
+    robots = [state.estimate(robot)[:2] for robot in state.robots.values()]
+    are_far = []
+    for landmark in team.landmarks.values():
+        joined = state.landmarks[landmark.key]
+        point, first = state.estimate(joined), state.first_estimate(joined)
+        moved = np.linalg.norm(point - team.estimate(landmark))
+        distance = min(np.linalg.norm(point - robot) for robot in robots)
+        are_far.append(moved > MAX_MOVED_BY_JOIN * distance)
+        assert_array_equal(first, point if are_far[-1] else team.first_estimate(landmark))
+    assert 0 < sum(are_far) < len(are_far)
 
 
 def test_evidence_on_the_landmarks_of_the_team_is_kept():
