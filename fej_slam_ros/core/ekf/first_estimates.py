@@ -40,11 +40,11 @@ def far_points(state: JointState, columns: Indices) -> Indices:
 
 
 def turned_points(state: JointState, x_prior: Array) -> Indices:
-    """Return the landmarks (k, 2) that a join has moved far from x_prior (n,)."""
+    """Return landmarks (k, 2) that a join has moved far from x_prior (n,), none without robots."""
     landmarks, robots = state.landmark_positions(), position_indices([*state.robots.values()])
     points = state.x_hat[landmarks]
     moved = norm(points - x_prior[landmarks], axis=1)
-    distance = norm(points[:, None] - state.x_hat[robots], axis=2).min(axis=1)
+    distance = norm(points[:, None] - state.x_hat[robots], axis=2).min(axis=1, initial=np.inf)
     turned: Indices = landmarks[moved > MAX_MOVED_BY_JOIN * distance]
     return turned
 

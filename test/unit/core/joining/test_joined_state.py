@@ -123,6 +123,16 @@ def test_landmarks_that_a_join_moves_far_have_new_first_estimates():
     assert 0 < sum(are_far) < len(are_far)
 
 
+def test_maps_without_robots_keep_their_first_estimates():
+    team, group, _ = two_maps(noise=0.3)
+    for state, robot in ((team, 'r1'), (group, 'r2')):
+        state.remove(state.robots[robot])
+
+    state = joined_state(team, group, fit(team, group).pose, FirstEstimates())
+
+    assert_array_equal(state.x_first[:len(team.x_first)], team.x_first)
+
+
 def test_evidence_on_the_landmarks_of_the_team_is_kept():
     team, group, _ = two_maps()
     landmark = team.landmarks['', 0]
