@@ -40,8 +40,7 @@ MAX_NEES = chi2.ppf(0.9999, 3) / 3
 AHEAD = 1.0
 
 #: Playback rate.
-fast_and_real_time = pytest.mark.parametrize(
-    'rate', [5, slow(1)])
+fast_and_real_time = pytest.mark.parametrize('rate', [5, slow(1)])
 
 
 def simulated(path, loops, *robots):

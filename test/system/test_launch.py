@@ -393,7 +393,7 @@ def test_a_launched_team_is_estimated(launched, domain, name, given, topic):
 
 @pytest.mark.slow
 @pytest.mark.ros
-@pytest.mark.parametrize('victim', [ESTIMATOR, slow(RVIZ)])
+@pytest.mark.parametrize('victim', [ESTIMATOR, RVIZ])
 @pytest.mark.usefixtures('rviz_installed')
 def test_when_a_process_of_the_demo_dies_none_is_left(launched, domain, victim):
     poses = domain.listen('/r1/pose', POSE)

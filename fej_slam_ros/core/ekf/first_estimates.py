@@ -50,7 +50,9 @@ def turned_points(state: JointState, x_prior: Array) -> Indices:
 
 
 def renew(state: JointState, points: Indices) -> None:
-    """Let points (k, 2) have their estimates as first estimates."""
+    """Let points (k, 2), of which there may be none, have their estimates as first estimates."""
+    if not len(points):
+        return
     P = state.whole()
     headings, of_point = np.unique(
         [_nearest_heading(state, P, point) for point in points], return_inverse=True)

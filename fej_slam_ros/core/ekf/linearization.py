@@ -204,15 +204,12 @@ class FirstEstimates(Linearization):
     def renew_points(self, state: JointState, columns: Indices) -> bool:
         """Renew first estimates that have nothing to do with the estimates any more."""
         points = first_estimates.far_points(state, columns)
-        if len(points):
-            first_estimates.renew(state, points)
+        first_estimates.renew(state, points)
         return len(points) > 0
 
     def renew_turned_points(self, state: JointState, x_prior: Array) -> None:
         """Renew first estimates of landmarks that a join has moved far."""
-        points = first_estimates.turned_points(state, x_prior)
-        if len(points):
-            first_estimates.renew(state, points)
+        first_estimates.renew(state, first_estimates.turned_points(state, x_prior))
 
     def _value(self, state: JointState, variable: Variable) -> Array:
         return state.first_estimate(variable)
