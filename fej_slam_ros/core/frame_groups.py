@@ -15,7 +15,7 @@ import numpy as np
 from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS, WHOLE_MAP
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate, InflatingGate
-from fej_slam_ros.core.ekf.linearization import LINEARIZATIONS
+from fej_slam_ros.core.ekf.linearization import Linearization, LINEARIZATIONS
 from fej_slam_ros.core.ekf.state import JointState, landmark_estimates, Robot, state_of_prior_map
 from fej_slam_ros.core.estimates import FrameMap
 from fej_slam_ros.core.frame_names import MAP, own_frame
@@ -85,7 +85,7 @@ class FrameGroups:
     ) -> None:
         self._settings = settings
         self._truth = truth
-        self.team = FrameGroup(self._new_filter(truth))  #: the group in the frame ``map``
+        self.team = FrameGroup(self._new_filter(self._policy(truth)))  #: the group in ``map``
         if prior is not None:
             self.team.filter.state = state_of_prior_map(prior)
         #: groups in frames of their own, the latest (re)named one last; a group without robots is
@@ -247,7 +247,8 @@ class FrameGroups:
                 self.others.remove(group)
                 self.others.append(group)
                 group.is_previous = True
-        group = FrameGroup(self._new_filter(LocalTruth(self._truth, robot, stamp)), robot)
+        policy = self._policy(LocalTruth(self._truth, robot, stamp)).for_unknown_starts()
+        group = FrameGroup(self._new_filter(policy), robot)
         group.state.insert_robot(robot, stamp, np.zeros(3), np.zeros((3, 3)))
         self.others.append(group)
         self.not_in_map[robot] = self._void_starts.get(robot) or (
@@ -270,11 +271,13 @@ class FrameGroups:
         self.others.remove(group)
         marginalize([*group.state.rendezvous_points], self.states())
 
-    def _new_filter(self, truth: Truth) -> Filter:
+    def _policy(self, truth: Truth) -> Linearization:
+        return LINEARIZATIONS[self._settings.filter](truth)
+
+    def _new_filter(self, policy: Linearization) -> Filter:
         settings = self._settings
-        policy = LINEARIZATIONS[settings.filter]
         return Filter(
-            JointState(), policy(truth), _gate(settings),
+            JointState(), policy, _gate(settings),
             settings.shared_landmark_ids, settings.update_iterations or policy.default_iterations,
             AROUND_ROBOTS if settings.compressed else WHOLE_MAP)
 

@@ -41,7 +41,8 @@ from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate, InflatingGate, ScanGateStatistics
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence, TentativeEvidence
-from fej_slam_ros.core.ekf.linearization import FirstEstimates, Ideal, Invariant, Standard
+from fej_slam_ros.core.ekf.linearization import (
+    FirstEstimates, Ideal, Invariant, RenewedFirstEstimates, Standard)
 from fej_slam_ros.core.ekf.outside_points import OutsidePoints, TurningPoints
 from fej_slam_ros.core.ekf.state import JointState, Landmark, RendezvousPoint, Robot
 from fej_slam_ros.core.ekf.symmetric_matrix import SymmetricMatrix
@@ -83,7 +84,7 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     TurningPoints, SymmetricMatrix, Slot, Robot, Landmark,
     RendezvousPoint, MovedLandmarkEvidence, TentativeEvidence, ActiveSubmap, Gate, InflatingGate,
     ScanGateStatistics,
-    Standard, FirstEstimates, Ideal, Invariant,
+    Standard, FirstEstimates, RenewedFirstEstimates, Ideal, Invariant,
     LandmarkManager, FieldOfView, LostRobotDetector, ContradictionsByOthers, ScanEvidence,
     LostRobot, MapJoiner,
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,

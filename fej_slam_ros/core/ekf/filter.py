@@ -178,23 +178,23 @@ class Filter:
 
         r = self._residual(stack)                                # 1. r = z - h(x), eq. (7)
         H = self._jacobian(stack.columns)                        # 2. H, eqs. (8) to (11)
-        update = joint_update(state.covariance, H, stack.R)      # 3. S = H P H^T + R
+        innovation = r.ravel()
+        update = joint_update(                                   # 3. S = H P H^T + R
+            state.covariance, H, stack.R, innovation)
         gated = self.gate.apply(                                 # 4. gate each by S_ii
             observations, r, update.own(), partial(self._curved_distances, r, stack.R, H))
         if not gated.is_linear() and policy.renew_points(state, stack.columns):
             return self.update(observations)                     # 1. to 4. at the new points
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
-        innovation, S = r.ravel(), update.S
-        x_prior, r, corrections = state.x_hat, innovation, []
-        iterations = max(self._iterations, gated.iterations)
-        for _ in range(iterations - 1):                          # Gauss-Newton: 1. to 5. again
-            corrections.append(update.correction(r))
-            if len(corrections[-1].y) < len(r):
+        x_prior, S, corrections = state.x_hat, update.S, []
+        for _ in range(self._iterations_of(update, gated) - 1):  # Gauss-Newton: 1. to 5. again
+            corrections.append(update.correction())
+            if len(corrections[-1].y) < len(innovation):
                 state.x_hat = x_prior
                 return NO_INNOVATION._replace(interrupted=observations)
-            update, r = self._relinearized(stack, x_prior, corrections[-1].dx)
-        corrections.append(update.apply(r))                      # 5. K r, 6. P <- P - K S K^T
+            update = self._relinearized(stack, x_prior, corrections[-1].dx)
+        corrections.append(update.apply())                       # 5. K r, 6. P <- P - K S K^T
         self._correct(x_prior, corrections[-1].dx)               # 7. x <- x + K r
         used = len(corrections[-1].y) // 2
         self._note_used(observations[:used])
@@ -214,20 +214,28 @@ class Filter:
                 observed.turn_variance = 0.0
         self.linearization.note_used(self.state, observations)
 
+    def _iterations_of(self, update: JointUpdate, gated: GateResult) -> int:
+        """Return the number of Gauss-Newton iterations, at least two where maps turn."""
+        iterations = max(self._iterations, gated.iterations)
+        if iterations > 1 or self.linearization.max_turn == np.inf:
+            return iterations
+        turns = update.correction().dx[self.state.headings()]
+        return 2 if (np.abs(turns) > self.linearization.max_turn).any() else 1
+
     def _correct(self, x_prior: Array, dx: Array) -> None:
         """Correct the prior estimate by dx (n,), whose covariance has been updated."""
         state, policy = self.state, self.linearization
         state.x_hat = policy.retract(state, x_prior, dx)
         policy.transport_errors(state, x_prior, dx)
+        policy.renew_turned_points(state, x_prior)
 
     def _relinearized(
         self, stack: StackedObservations, x_prior: Array, dx: Array
-    ) -> tuple[JointUpdate, Array]:
+    ) -> JointUpdate:
         """
         Return the update of the prior by observations linearised at the prior corrected by dx.
 
-        With it, their residuals r (2 m,) of the prior. An error e of the prior is A e at the
-        corrected estimate: its Jacobian is H A.
+        An error e of the prior is A e at the corrected estimate: its Jacobian is H A.
 
         """
         state, policy = self.state, self.linearization
@@ -236,8 +244,8 @@ class Filter:
         A = policy.transport(state, x_prior, dx)
         if A is not None:
             H = H.after(A)
-        return (
-            joint_update(state.covariance, H, stack.R), self._residual(stack).ravel() + H.of(dx))
+        return joint_update(
+            state.covariance, H, stack.R, self._residual(stack).ravel() + H.of(dx))
 
     def _residual(self, stack: StackedObservations) -> Array:
         """Return z - h (m, 2) at the current estimate, whatever the policy."""
@@ -326,8 +334,9 @@ class Filter:
         """Merge the other landmark into the first by an update with their difference, zero."""
         state, (difference, H) = self.state, self.landmark_difference(landmark, other)
         self.submap.ensure_contains(state, H.columns, self.linearization.turns_points)
-        update = joint_update(state.covariance, H, MERGE_VARIANCE * np.eye(2)[None])
-        self._correct(state.x_hat, update.apply(-difference).dx)
+        update = joint_update(
+            state.covariance, H, MERGE_VARIANCE * np.eye(2)[None], -difference)
+        self._correct(state.x_hat, update.apply().dx)
         state.remove(other)
 
     def keys_of(self, scan: Scan) -> list[LandmarkKey]:

@@ -19,14 +19,13 @@ from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.joint_covariance import JointCovariance
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import JointState, pose_indices, position_indices
-from fej_slam_ros.core.geometry import Array, Indices, perpendicular
+from fej_slam_ros.core.geometry import Indices, perpendicular
 
 #: Distance of a first estimate from the estimate of an observed point, divided by that of the
 #: observer, up to which it is kept. Beyond 1 it may lie in any direction.
 MAX_MOVED = 1.0
-#: Distance by which a join moves a landmark, divided by that of the nearest robot, up to which its
-#: first estimate is kept: where robots that had a map each meet, both maps may turn.
-MAX_MOVED_BY_JOIN = 0.2
+#: The same of any landmark, and the distance of the nearest robot, where maps have turned.
+MAX_TURNED = 0.2
 #: Ratio of the variances of a point in the frames of two robots up to which it may turn with both.
 SIMILAR = 10.0
 
@@ -39,13 +38,14 @@ def far_points(state: JointState, columns: Indices) -> Indices:
     return np.unique(points[moved > MAX_MOVED * distance], axis=0)
 
 
-def turned_points(state: JointState, x_prior: Array) -> Indices:
-    """Return landmarks (k, 2) that a join has moved far from x_prior (n,), none without robots."""
+def turned_landmarks(state: JointState) -> Indices:
+    """Return landmarks (k, 2) whose first estimates are wrong by a turn, none without robots."""
+    state.whole()
     landmarks, robots = state.landmark_positions(), position_indices([*state.robots.values()])
     points = state.x_hat[landmarks]
-    moved = norm(points - x_prior[landmarks], axis=1)
+    moved = norm(points - state.x_first[landmarks], axis=1)
     distance = norm(points[:, None] - state.x_hat[robots], axis=2).min(axis=1, initial=np.inf)
-    turned: Indices = landmarks[moved > MAX_MOVED_BY_JOIN * distance]
+    turned: Indices = landmarks[moved > MAX_TURNED * distance]
     return turned
 
 

@@ -41,9 +41,10 @@ class CorrectionInBlocks(NamedTuple):
 class UpdateAtOnce:
     """The update by all observations together."""
 
-    def __init__(self, covariance: JointCovariance, H: SparseRows, R: Array) -> None:
-        self._covariance = covariance
+    def __init__(self, covariance: JointCovariance, H: SparseRows, R: Array, r: Array) -> None:
+        self._covariance, self._r = covariance, r
         self._prior = covariance.project(H, R)
+        self._correction: Correction | None = None
         #: (2 m, 2 m) array, the lower triangle of S
         self.S: Array | None = self._prior.S
 
@@ -51,13 +52,15 @@ class UpdateAtOnce:
         """Return the diagonal blocks (m, 2, 2) of S."""
         return self._prior.own
 
-    def correction(self, r: Array) -> Correction:
-        """Return the correction by residuals r (2 m,); the covariance stays as it is."""
-        return self._covariance.correction(self._prior, r)
+    def correction(self) -> Correction:
+        """Return the correction; the covariance stays as it is."""
+        if self._correction is None:
+            self._correction = self._covariance.correction(self._prior, self._r)
+        return self._correction
 
-    def apply(self, r: Array) -> Correction:
-        """Return the correction by residuals r (2 m,), and update the covariance."""
-        correction = self._covariance.correction(self._prior, r)
+    def apply(self) -> Correction:
+        """Return the correction, and update the covariance."""
+        correction = self.correction()
         self._covariance.condition(correction)
         return correction
 
@@ -65,8 +68,8 @@ class UpdateAtOnce:
 class UpdateInBlocks:
     """The same block by block; the process may end after any of them."""
 
-    def __init__(self, covariance: JointCovariance, H: SparseRows, R: Array) -> None:
-        self._covariance, self._H, self._R = covariance, H, R
+    def __init__(self, covariance: JointCovariance, H: SparseRows, R: Array, r: Array) -> None:
+        self._covariance, self._H, self._R, self._r = covariance, H, R, r
         self.S: Array | None = None  #: S is not computed as a whole
 
     def own(self) -> Array:
@@ -74,15 +77,15 @@ class UpdateInBlocks:
         P, H = self._covariance.blocks(self._H.columns), self._H.blocks
         return H @ P @ H.transpose(0, 2, 1) + self._R
 
-    def correction(self, r: Array) -> CorrectionInBlocks:
-        """Return the correction by residuals r (2 m,); the covariance stays as it is."""
-        return self._applied(copy(self._covariance), r)
+    def correction(self) -> CorrectionInBlocks:
+        """Return the correction; the covariance stays as it is."""
+        return self._applied(copy(self._covariance))
 
-    def apply(self, r: Array) -> CorrectionInBlocks:
-        """Return the correction by residuals r (2 m,), and update the covariance."""
-        return self._applied(self._covariance, r)
+    def apply(self) -> CorrectionInBlocks:
+        """Return the correction, and update the covariance."""
+        return self._applied(self._covariance)
 
-    def _applied(self, covariance: JointCovariance, r: Array) -> CorrectionInBlocks:
+    def _applied(self, covariance: JointCovariance) -> CorrectionInBlocks:
         count, size = len(self._R), block_size(covariance)
         dx, y, log_det, done = np.zeros(covariance.dimension), [], 0.0, 0
         for _ in range(math.ceil(count / size)):
@@ -92,7 +95,7 @@ class UpdateInBlocks:
             rows = SparseRows(self._H.columns[block], self._H.blocks[block])
             prior = covariance.project(rows, self._R[block])
             correction = covariance.correction(
-                prior, r[2 * block.start:2 * block.stop] - rows.of(dx))
+                prior, self._r[2 * block.start:2 * block.stop] - rows.of(dx))
             covariance.condition(correction)
             dx += correction.dx
             y.append(correction.y)
@@ -105,12 +108,14 @@ class UpdateInBlocks:
 JointUpdate = UpdateAtOnce | UpdateInBlocks
 
 
-def joint_update(covariance: JointCovariance, H: SparseRows, R: Array) -> JointUpdate:
-    """Return the update of a covariance by m observations of noise R (m, 2, 2)."""
+def joint_update(
+    covariance: JointCovariance, H: SparseRows, R: Array, r: Array
+) -> JointUpdate:
+    """Return the update by m observations of noise R (m, 2, 2) and residuals r (2 m,)."""
     if len(R) <= MIN_BLOCK_OBSERVATIONS or (
             len(R) <= min(MAX_JOINT_OBSERVATIONS, _affordable(covariance))):
-        return UpdateAtOnce(covariance, H, R)
-    return UpdateInBlocks(covariance, H, R)
+        return UpdateAtOnce(covariance, H, R, r)
+    return UpdateInBlocks(covariance, H, R, r)
 
 
 def block_size(covariance: JointCovariance) -> int:

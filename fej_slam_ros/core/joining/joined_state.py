@@ -33,8 +33,8 @@ def joined_state(
 
     Shared variables keep the team's slots and first estimates. The first estimate of a new
     variable is that of the group transformed by g: at others, the covariance of the group would
-    make a rotation of all its variables observable by each other. Those of landmarks that the join
-    moves far are then renewed. Neither state is changed.
+    make a rotation of all its variables observable by each other. The policy may renew them where
+    the join turns a map. Neither state is changed.
 
     """
     ours, theirs = map(StackedVariables, shared_variables(team, group))

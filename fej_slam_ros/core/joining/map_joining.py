@@ -76,9 +76,7 @@ class MapJoiner:
         if failure is not None:
             return failure
         try:
-            team.state = joined_state(
-                team.state, _in_frame_of(robot, group, group.state.variables()), found.pose,
-                team.linearization)
+            _join(team, _in_frame_of(robot, group, group.state.variables()), found.pose)
         except EndedError:
             return JoinFailure('the process ended before it could join')
         for key in keys:
@@ -161,8 +159,7 @@ class MapJoiner:
         found = self._accepted(team.state, group.state)
         if found is not None and found.heading_sigma() <= self._max_heading_sigma:
             with suppress(EndedError):
-                team.state = joined_state(
-                    team.state, group.state, found.pose, team.linearization)
+                _join(team, group.state, found.pose)
                 return True
         group.state.remove(robot)
         return False
@@ -191,6 +188,12 @@ def most_certain_robot(state: JointState, points: Variables) -> Robot | None:
     headings = np.arange(2, n, 3)
     # But for the variance of the turn itself, which is the same for all robots.
     return robots[int(np.argmin(P[headings, headings] - 2.0 * P[headings, n:] @ w))]
+
+
+def _join(team: Filter, group: JointState, g: Array) -> None:
+    """Join a group, at pose g (3,) in the frame of the team, whose policy changes with it."""
+    policy = team.linearization.for_unknown_starts()
+    team.state, team.linearization = joined_state(team.state, group, g, policy), policy
 
 
 def _in_best_frame(filter_: Filter, points: Variables) -> JointState:

@@ -12,7 +12,8 @@ from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.first_estimates import MAX_MOVED, renew
 from fej_slam_ros.core.ekf.gating import Association, Gate
-from fej_slam_ros.core.ekf.linearization import FirstEstimates, Standard
+from fej_slam_ros.core.ekf.linearization import (
+    FirstEstimates, RenewedFirstEstimates, Standard)
 from fej_slam_ros.core.ekf.observability import (
     linearized_rigid_motions, record_observability)
 from fej_slam_ros.core.ekf.state import JointState, observation_columns
@@ -23,7 +24,7 @@ OFFSET, MOVED = np.array([1.0, -1.4]), np.array([2.0, 2.8])
 SIGMA, HEADING_SIGMA = 0.03, 0.1
 
 
-def team(moved, policy=FirstEstimates):
+def team(moved, policy=FirstEstimates, iterations=1):
     """
     Return a filter of two robots, and two landmarks that r2 has mapped.
 
@@ -41,7 +42,7 @@ def team(moved, policy=FirstEstimates):
             ('', id_), robot, first, np.array([[1.0, 0.0, -y], [0.0, 1.0, x]]),
             0.05 ** 2 * np.eye(2))
     state.x_hat[state.landmarks['', 1].slot.indices] -= moved
-    return Filter(state, policy(), Gate(0.999))
+    return Filter(state, policy(), Gate(0.999), iterations=iterations)
 
 
 def observed(filter_, heading_error, id_=1):
@@ -103,14 +104,17 @@ def test_renewal_does_not_change_the_information_about_a_rotation_of_a_part():
         part @ np.linalg.solve(turned.marginal(turned.variables()), part), before, rtol=1e-10)
 
 
-def test_a_rotation_of_everything_stays_unobservable_across_a_renewal():
-    filter_ = team(MOVED)
+@pytest.mark.parametrize(('policy', 'moved'), [
+    (FirstEstimates, MOVED), (RenewedFirstEstimates, 0.3 * MOVED)])
+def test_a_rotation_of_everything_stays_unobservable_across_a_renewal(policy, moved):
+    filter_ = team(moved, policy)
     recorder, motions = record_observability(filter_), linearized_rigid_motions(filter_)
 
     for id_ in 1, 2, 1, 2:
         filter_.update(observed(filter_, 3.0 * HEADING_SIGMA, id_))
 
-    assert_allclose(filter_.state.x_first[6:8], OFFSET, atol=1e-9)
+    # The second policy renews it after the first update, which has moved it, too.
+    assert np.linalg.norm(filter_.state.x_first[6:8] - OFFSET) < 0.2 * np.linalg.norm(moved)
     M = np.vstack(recorder.rows)
     assert len(M) == 8
     # Products of numbers up to 5.
@@ -139,3 +143,30 @@ def test_first_estimates_nearby_or_that_explain_what_is_observed_stay():
     explained.update(observed(explained, 0.0))
 
     assert_allclose(explained.state.x_first[6:8], OFFSET + MOVED)
+
+
+@pytest.mark.parametrize(('policy', 'heading_error', 'iterations'), [
+    (FirstEstimates, 0.3, 1), (RenewedFirstEstimates, 0.08, 1), (RenewedFirstEstimates, 0.3, 2)])
+def test_a_turn_by_a_tenth_of_a_radian_is_iterated_and_renews_those_of_unknown_starts(
+        policy, heading_error, iterations):
+    moved = 0.3 * MOVED
+    filter_, reference = team(moved, policy), team(moved, iterations=iterations)
+    for each in filter_, reference:
+        each.update(observed(each, heading_error))
+
+    # The observation corrects the heading by most of its error.
+    state = filter_.state
+    assert (state.x_hat[2] > 0.1) == (heading_error > 0.1)
+    assert_array_equal(state.x_hat, reference.state.x_hat)
+    expected = OFFSET + moved if iterations == 1 else state.x_hat[6:8]
+    assert_allclose(state.x_first[6:8], expected, rtol=1e-15)
+
+
+def test_only_landmarks_whose_first_estimates_are_far_off_are_renewed():
+    filter_ = team(0.3 * MOVED, RenewedFirstEstimates)
+    before = filter_.state.x_first[8:].copy()
+
+    filter_.update(observed(filter_, 3.0 * HEADING_SIGMA))
+
+    assert np.abs(filter_.state.x_hat[8:] - before).max() > 0.0
+    assert_array_equal(filter_.state.x_first[8:], before)

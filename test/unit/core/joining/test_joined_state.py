@@ -9,9 +9,9 @@ from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
 from fej_slam_ros.core.ekf.covariance import Covariance
-from fej_slam_ros.core.ekf.first_estimates import MAX_MOVED_BY_JOIN
 from fej_slam_ros.core.ekf.landmark_evidence import MovedLandmarkEvidence
-from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
+from fej_slam_ros.core.ekf.linearization import (
+    FirstEstimates, Invariant, RenewedFirstEstimates, Standard)
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.joining.frame_fit import fit
 from fej_slam_ros.core.joining.joined_state import joined_state
@@ -105,22 +105,27 @@ def test_first_estimates_of_the_team_stay_and_new_ones_are_transformed():
     assert state.robots['r2'].stamp == 5
 
 
-def test_landmarks_that_a_join_moves_far_have_new_first_estimates():
-    team, group, _ = two_maps(noise=0.3)
+@pytest.mark.parametrize(('noise', 'turns_far'), [(0.05, False), (0.3, True)])
+def test_where_a_join_turns_a_robot_far_first_estimates_are_renewed(noise, turns_far):
+    team, group, _ = two_maps(noise=noise)
     g = fit(team, group).pose
 
-    state = joined_state(team, group, g, FirstEstimates())
+    kept = joined_state(team, group, g, FirstEstimates())
+    state = joined_state(team, group, g, RenewedFirstEstimates())
 
+    # By more than 0.1 rad.
+    turn = state.estimate(state.robots['r1'])[2] - team.estimate(team.robots['r1'])[2]
+    assert (abs(turn) > 0.1) == turns_far
     robots = [state.estimate(robot)[:2] for robot in state.robots.values()]
     are_far = []
-    for landmark in team.landmarks.values():
-        joined = state.landmarks[landmark.key]
-        point, first = state.estimate(joined), state.first_estimate(joined)
-        moved = np.linalg.norm(point - team.estimate(landmark))
+    for landmark in state.landmarks.values():
+        point, first = state.estimate(landmark), kept.first_estimate(landmark)
+        # By a fifth of the distance of the nearest robot.
         distance = min(np.linalg.norm(point - robot) for robot in robots)
-        are_far.append(moved > MAX_MOVED_BY_JOIN * distance)
-        assert_array_equal(first, point if are_far[-1] else team.first_estimate(landmark))
-    assert 0 < sum(are_far) < len(are_far)
+        are_far.append(turns_far and np.linalg.norm(point - first) > 0.2 * distance)
+        assert_array_equal(state.first_estimate(landmark), point if are_far[-1] else first)
+    assert any(are_far) == turns_far
+    assert not all(are_far)
 
 
 def test_maps_without_robots_keep_their_first_estimates():
@@ -128,7 +133,7 @@ def test_maps_without_robots_keep_their_first_estimates():
     for state, robot in ((team, 'r1'), (group, 'r2')):
         state.remove(state.robots[robot])
 
-    state = joined_state(team, group, fit(team, group).pose, FirstEstimates())
+    state = joined_state(team, group, fit(team, group).pose, RenewedFirstEstimates())
 
     assert_array_equal(state.x_first[:len(team.x_first)], team.x_first)
 
