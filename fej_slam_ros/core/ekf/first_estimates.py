@@ -5,11 +5,13 @@ First estimates that are too far off to linearise at, and their renewal.
 
 This is not in [Liu]. Where a map has been corrected by metres, a landmark nearby may lie in any
 direction at its first estimate, and H corrects the heading by an offset that has nothing to do
-with the true one; and a join may turn whole maps, of which all Jacobians are then wrong by that
-turn. Its estimate then becomes the first estimate of a landmark. A rotation of the map moved the
-landmark by J f, and has to move it by J f_hat: its error gets J (f_hat - f) theta, as in the
-invariant filter, with the most certain theta of the robots in whose frames it is known best. So a
-rotation of the whole state, or of the part around these robots, stays unobservable.
+with the true one; and where starts are unknown, whole maps may turn, at a join or later, and all
+Jacobians are then wrong by that turn. Its estimate then becomes the first estimate of a landmark.
+
+A rotation of the map moved the landmark by J f, and has to move it by J f_hat: its error gets
+J (f_hat - f) theta, as in the invariant filter, with the most certain theta of the robots in whose
+frames it is known best. So a rotation of the whole state, or of the part around these robots,
+stays unobservable.
 """
 
 import numpy as np
