@@ -22,7 +22,7 @@ from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
     StatisticsByRobot)
 from fej_slam_ros.core.ekf.joint_covariance import reserve
-from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
+from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate, UpdateInBlocks
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import (
@@ -217,10 +217,12 @@ class Filter:
     def _iterations_of(self, update: JointUpdate, gated: GateResult) -> int:
         """Return the number of Gauss-Newton iterations, at least two where maps turn."""
         iterations = max(self._iterations, gated.iterations)
-        if iterations > 1 or self.linearization.max_turn == np.inf:
+        max_turn = self.linearization.max_turn
+        # An update in blocks would be computed twice to know its turn.
+        if iterations > 1 or max_turn == np.inf or isinstance(update, UpdateInBlocks):
             return iterations
         turns = update.correction().dx[self.state.headings()]
-        return 2 if (np.abs(turns) > self.linearization.max_turn).any() else 1
+        return 2 if (np.abs(turns) > max_turn).any() else 1
 
     def _correct(self, x_prior: Array, dx: Array) -> None:
         """Correct the prior estimate by dx (n,), whose covariance has been updated."""
