@@ -5,6 +5,8 @@
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.ekf.linearization import (
+    FirstEstimates, RenewedFirstEstimates, Standard)
 from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import PriorMap
@@ -43,6 +45,15 @@ def test_a_robot_with_a_known_initial_pose_begins_in_map_and_any_other_in_its_ow
     np.testing.assert_allclose(
         groups.team.state.marginal([anchor]), np.diag([0.01, 0.04, 0.09]), rtol=1e-15)
     assert list(groups.not_in_map) == ['r2']
+
+
+@pytest.mark.parametrize(('kind', 'of_known', 'of_unknown'), [
+    ('fej', FirstEstimates, RenewedFirstEstimates), ('standard', Standard, Standard)])
+def test_first_estimates_are_renewed_only_where_the_start_is_unknown(kind, of_known, of_unknown):
+    groups = groups_of('r1', 'r2', filter=kind)
+
+    assert type(groups.team.filter.linearization) is of_known
+    assert type(groups.of('r2').filter.linearization) is of_unknown
 
 
 def test_a_robot_that_restarts_leaves_its_map_behind_in_a_frame_of_its_own():

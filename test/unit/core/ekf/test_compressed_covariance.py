@@ -11,14 +11,15 @@ import pytest
 
 from fej_slam_ros.core import frame_groups, pieces
 from fej_slam_ros.core.ekf import (
-    compressed_covariance, joint_covariance, joint_update, matrix_product)
+    compressed_covariance, first_estimates, joint_covariance, joint_update, matrix_product)
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap, WHOLE_MAP
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance, LEAVING_RATE
 from fej_slam_ros.core.ekf.covariance import Covariance, SparseRows
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.joint_covariance import lower_rows
-from fej_slam_ros.core.ekf.linearization import FirstEstimates, Invariant, Standard
+from fej_slam_ros.core.ekf.linearization import (
+    FirstEstimates, Invariant, RenewedFirstEstimates, Standard)
 from fej_slam_ros.core.ekf.outside_points import OutsidePoints
 from fej_slam_ros.core.ekf.state import JointState, state_of_prior_map
 from fej_slam_ros.core.estimator import Estimator
@@ -255,6 +256,23 @@ def test_updates_in_blocks_give_the_same_with_submaps_as_with_the_whole_state(
     assert_allclose(compressed.state.estimates(), whole.state.x_hat, atol=1e-10)
     assert_allclose(
         compressed.state.marginal(variables), whole.state.marginal(variables), atol=1e-10)
+
+
+def test_first_estimates_are_renewed_in_submaps_as_in_the_whole_state(monkeypatch):
+    # Here no heading is corrected by 0.1 rad, and no landmark moves by a fifth of a distance.
+    monkeypatch.setattr(RenewedFirstEstimates, 'max_turn', 0.004)
+    monkeypatch.setattr(first_estimates, 'MAX_TURNED', 0.004)
+    scenario = town(landmarks=250, steps=300, seed=1)
+    kept, _ = run(scenario, WHOLE_MAP, FirstEstimates())
+
+    whole, _ = run(scenario, WHOLE_MAP, RenewedFirstEstimates())
+    compressed, entered = run(scenario, ActiveSubmap(100, 10), RenewedFirstEstimates())
+
+    assert entered
+    renewed = np.abs(whole.state.x_first - kept.state.x_first) > 1e-3
+    assert np.count_nonzero(renewed) > 20
+    assert_allclose(compressed.state.x_first, whole.state.x_first, atol=1e-10)
+    assert_allclose(compressed.state.estimates(), whole.state.x_hat, atol=1e-10)
 
 
 def row_of_landmarks(submap, names=('r1',)):

@@ -33,7 +33,8 @@ def with_uncertain_global_pose(state, kind):
         state.x_hat, state.x_first, covariance)
 
 
-@pytest.mark.parametrize(('kind', 'policy'), [('fej', FirstEstimates), ('invariant', Invariant)])
+@pytest.mark.parametrize(('kind', 'policy'), [
+    ('fej', FirstEstimates), ('fej', RenewedFirstEstimates), ('invariant', Invariant)])
 @pytest.mark.parametrize('noise', [0.05, 0.3])
 @pytest.mark.parametrize('points', [0, 3])
 def test_a_join_is_independent_of_the_uncertainty_of_the_global_pose(
@@ -114,8 +115,8 @@ def test_where_a_join_turns_a_robot_far_first_estimates_are_renewed(noise, turns
     state = joined_state(team, group, g, RenewedFirstEstimates())
 
     # By more than 0.1 rad.
-    turn = state.estimate(state.robots['r1'])[2] - team.estimate(team.robots['r1'])[2]
-    assert (abs(turn) > 0.1) == turns_far
+    correction = state.estimate(state.robots['r1']) - team.estimate(team.robots['r1'])
+    assert (abs(correction[2]) > 0.1) == turns_far
     robots = [state.estimate(robot)[:2] for robot in state.robots.values()]
     are_far = []
     for landmark in state.landmarks.values():

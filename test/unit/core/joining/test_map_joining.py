@@ -16,7 +16,8 @@ import pytest
 
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
-from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from fej_slam_ros.core.ekf.linearization import (
+    FirstEstimates, Invariant, RenewedFirstEstimates)
 from fej_slam_ros.core.ekf.state import JointState, position_indices
 from fej_slam_ros.core.geometry import rigid_fit
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -91,6 +92,17 @@ def test_a_minimum_number_of_landmarks_must_be_shared(shared, least, why):
 
     assert failure == (None if why is None else JoinFailure(why))
     assert ('r2' in into.state.robots) is (why is None)
+
+
+@pytest.mark.parametrize(('policy', 'after'), [
+    (FirstEstimates, RenewedFirstEstimates), (Invariant, Invariant)])
+def test_a_join_lets_first_estimates_of_the_team_be_renewed_from_then_on(policy, after):
+    team, group, _ = two_maps()
+    into = Filter(team, policy(), Gate(1.0))
+
+    MapJoiner(3, 0.999).join(into, Filter(group, policy(), Gate(1.0)))
+
+    assert type(into.linearization) is after
 
 
 def test_maps_that_contradict_each_other_stay_apart():
