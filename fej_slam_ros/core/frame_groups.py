@@ -4,7 +4,7 @@
 Frames, the robots in them and the filter of each frame.
 
 The team is estimated in ``map``. A robot whose initial pose in ``map`` is unknown maps in a frame
-of its own, ``<robot>/map``, with the same filter, until its frame group joins another one.
+of its own, ``<robot>/map``, with a filter of its own, until its frame group joins another one.
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -247,7 +247,7 @@ class FrameGroups:
                 self.others.remove(group)
                 self.others.append(group)
                 group.is_previous = True
-        policy = self._policy(LocalTruth(self._truth, robot, stamp)).for_unknown_starts()
+        policy = self._policy(LocalTruth(self._truth, robot, stamp)).of_joining_maps()
         group = FrameGroup(self._new_filter(policy), robot)
         group.state.insert_robot(robot, stamp, np.zeros(3), np.zeros((3, 3)))
         self.others.append(group)

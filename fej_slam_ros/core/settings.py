@@ -182,9 +182,9 @@ class EstimatorSettings(CommonSettings):
         'linearisation policy of the filter; ideal needs ground truth')
     update_iterations: int = parameter(
         0, numbers('an integer', Range(0, 100), element=int),
-        'least number of Gauss-Newton iterations of an update; 0 selects that of the filter, 3 for'
-        ' invariant and 1 for the others. fej makes 2 where an update corrects the heading of a'
-        ' robot with an unknown start, or of its team, by more than 0.1 rad')
+        'minimum number of Gauss-Newton iterations of an update; 0 selects that of the filter, 3'
+        ' for invariant and 1 for the others. In frames of single robots, and in map once maps'
+        ' have joined, fej makes 2 where a heading is corrected by more than 0.1 rad')
     compressed: bool = parameter(
         True, FLAG,
         'steps in a large map update only the submap around the robots, without approximation')

@@ -22,7 +22,7 @@ from fej_slam_ros.core.ekf.gating import (
     Association, Gate, GatedObservation, GateResult, RobotAssociation, scan_gate_statistics,
     StatisticsByRobot)
 from fej_slam_ros.core.ekf.joint_covariance import reserve
-from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate, UpdateInBlocks
+from fej_slam_ros.core.ekf.joint_update import joint_update, JointUpdate
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.state import (
@@ -114,7 +114,7 @@ class Filter:
     linearization : where its Jacobians are evaluated
     gate : which observations it accepts
     shared_ids : whether a landmark ID means the same landmark for all robots
-    iterations : number of Gauss-Newton iterations of an update; 1 is the EKF of the paper
+    iterations : minimum number of Gauss-Newton iterations; 1 is the EKF of the paper
     submap : whether it works on an active submap, and on which
 
     """
@@ -164,7 +164,8 @@ class Filter:
         inflates any observation, the update starts again with the accepted ones; r and the prior
         are unchanged, so these pass and the recursion ends. It also starts again, with all, where
         the policy has renewed points that were too far off. Iterations correct the same prior,
-        whose covariance is updated once, by the last H.
+        whose covariance is updated once, by the last H. Where the policy renews points after a far
+        correction, that is iterated, too.
 
         """
         if not observations:
@@ -188,7 +189,9 @@ class Filter:
         if gated.rejected or gated.inflated:                     # 1. to 4. with the accepted ones
             return self.update(gated.accepted).after(gated)
         x_prior, S, corrections = state.x_hat, update.S, []
-        for _ in range(self._iterations_of(update, gated) - 1):  # Gauss-Newton: 1. to 5. again
+        is_far = self._corrects_far(update)
+        iterations = max(self._iterations, gated.iterations, 2 if is_far else 1)
+        for _ in range(iterations - 1):                          # Gauss-Newton: 1. to 5. again
             corrections.append(update.correction())
             if len(corrections[-1].y) < len(innovation):
                 state.x_hat = x_prior
@@ -196,6 +199,8 @@ class Filter:
             update = self._relinearized(stack, x_prior, corrections[-1].dx)
         corrections.append(update.apply())                       # 5. K r, 6. P <- P - K S K^T
         self._correct(x_prior, corrections[-1].dx)               # 7. x <- x + K r
+        if is_far:
+            policy.renew_displaced_points(state)
         used = len(corrections[-1].y) // 2
         self._note_used(observations[:used])
         return Innovation(
@@ -214,22 +219,17 @@ class Filter:
                 observed.turn_variance = 0.0
         self.linearization.note_used(self.state, observations)
 
-    def _iterations_of(self, update: JointUpdate, gated: GateResult) -> int:
-        """Return the number of Gauss-Newton iterations, at least two where maps turn."""
-        iterations = max(self._iterations, gated.iterations)
-        max_turn = self.linearization.max_turn
-        # An update in blocks would be computed twice to know its turn.
-        if iterations > 1 or max_turn == np.inf or isinstance(update, UpdateInBlocks):
-            return iterations
-        turns = update.correction().dx[self.state.headings()]
-        return 2 if (np.abs(turns) > max_turn).any() else 1
+    def _corrects_far(self, update: JointUpdate) -> bool:
+        """Return whether an update corrects a heading so far that points are to be renewed."""
+        policy = self.linearization
+        return policy.max_correction < np.inf and policy.corrects_far(
+            update.correction().dx[self.state.headings()])
 
     def _correct(self, x_prior: Array, dx: Array) -> None:
         """Correct the prior estimate by dx (n,), whose covariance has been updated."""
         state, policy = self.state, self.linearization
         state.x_hat = policy.retract(state, x_prior, dx)
         policy.transport_errors(state, x_prior, dx)
-        policy.renew_turned_points(state, x_prior)
 
     def _relinearized(
         self, stack: StackedObservations, x_prior: Array, dx: Array

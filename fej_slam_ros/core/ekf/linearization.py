@@ -18,8 +18,7 @@ from fej_slam_ros.core.ekf.covariance import Transport
 from fej_slam_ros.core.ekf.gating import Association
 from fej_slam_ros.core.ekf.kernel import KERNEL
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot, Variable, Variables
-from fej_slam_ros.core.geometry import (
-    Array, Indices, mean_rotation, perpendicular, wrap_all)
+from fej_slam_ros.core.geometry import Array, Indices, mean_rotation, perpendicular
 from fej_slam_ros.core.ground_truth import Truth
 from fej_slam_ros.core.records import (
     LandmarkKey, MAX_LINEAR_HEADING_SIGMA, PointKey, RendezvousKey)
@@ -44,14 +43,14 @@ class Linearization:
     """
 
     needs_truth: ClassVar[bool] = False  #: whether it reads ground truth, which needs landmark IDs
-    default_iterations: ClassVar[int] = 1  #: Gauss-Newton iterations; 1 is the EKF of the paper
+    default_iterations: ClassVar[int] = 1  #: minimum of iterations; 1 is the EKF of the paper
     turns_points: ClassVar[bool] = False  #: whether a correction turns points with robots
     #: standard deviation [rad] of a robot's turn by odometry alone up to which it is linearised
     max_turn_sigma: ClassVar[float] = MAX_LINEAR_HEADING_SIGMA
     #: the same where it has to be corrected by observations without IDs, all at once
     max_turn_sigma_without_ids: ClassVar[float] = 0.1
     #: largest correction of a heading [rad] that needs no second iteration and renews no points
-    max_turn: ClassVar[float] = np.inf
+    max_correction: ClassVar[float] = np.inf
 
     def __init__(self, truth: Truth | None = None) -> None:
         """Construct the policy."""
@@ -147,11 +146,15 @@ class Linearization:
         """
         return False
 
-    def renew_turned_points(self, state: JointState, x_prior: Array) -> None:
-        """Renew points of linearisation if the estimate has been turned far from x_prior (n,)."""
+    def corrects_far(self, turns: Array) -> bool:
+        """Return whether any correction of the headings (N,) [rad] is larger than the largest."""
+        return bool((np.abs(turns) > self.max_correction).any())
 
-    def for_unknown_starts(self) -> 'Linearization':
-        """Return the policy for robots whose starts were unknown, in frames of their own."""
+    def renew_displaced_points(self, state: JointState) -> None:
+        """Renew points of linearisation of a state of which a heading has been corrected far."""
+
+    def of_joining_maps(self) -> 'Linearization':
+        """Return the policy of robots in frames of their own, and of a state that a map joins."""
         return self
 
     def note_used(self, state: JointState, observations: Iterable[Association]) -> None:
@@ -214,7 +217,7 @@ class FirstEstimates(Linearization):
         first_estimates.renew(state, points)
         return len(points) > 0
 
-    def for_unknown_starts(self) -> Linearization:
+    def of_joining_maps(self) -> Linearization:
         """Return FEJ with first estimates that are renewed where maps turn."""
         return RenewedFirstEstimates()
 
@@ -224,23 +227,20 @@ class FirstEstimates(Linearization):
 
 class RenewedFirstEstimates(FirstEstimates):
     """
-    FEJ for robots with unknown starts, whose first estimates may be wrong by the turn of a map.
+    FEJ of maps that join, whose first estimates may be wrong by the turn of a map.
 
-    Maps join at headings that later observations correct. A correction of a heading by more than
-    `max_turn` is iterated once, and renews first estimates that are wrong by a turn. This is not
-    in [Liu], whose robots know where they start.
+    Maps join at headings that later observations correct. An update that corrects a heading far
+    is iterated once, and renews the first estimates of landmarks that are far from them by then.
+    This is not in [Liu], where all robots start in one frame.
 
     """
 
     #: Of five robots behind walls, MRCLAM 6, NEES/3 is 1.4 at 0.1 and 1.9 at 0.2.
-    max_turn = 0.1
+    max_correction = 0.1
 
-    def renew_turned_points(self, state: JointState, x_prior: Array) -> None:
-        """Renew first estimates that are far off if a heading has been corrected far."""
-        headings = state.headings()
-        turns = wrap_all(state.x_hat[headings] - x_prior[headings])
-        if (np.abs(turns) > self.max_turn).any():
-            first_estimates.renew(state, first_estimates.turned_landmarks(state))
+    def renew_displaced_points(self, state: JointState) -> None:
+        """Renew first estimates of landmarks that are far off."""
+        first_estimates.renew(state, first_estimates.displaced_landmarks(state))
 
 
 class Ideal(Linearization):

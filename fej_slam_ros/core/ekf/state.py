@@ -203,8 +203,8 @@ class JointState(VariableSet):
     ----------
     variables : variables whose slots are given; by default there are none
     x_hat : (n,) array, the estimate; states outside an active submap lack its pending corrections
-    x_first : (n,) array, the first estimate: of a point its value at its creation, of a robot its
-        pose right after its prediction to its present stamp
+    x_first : (n,) array, the first estimate: of a point its value at its creation or the last
+        renewal, of a robot its pose right after its prediction to its present stamp
     covariance : the joint covariance of the errors, complete or that of an active submap
 
     """

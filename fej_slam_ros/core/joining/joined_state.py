@@ -33,8 +33,8 @@ def joined_state(
 
     Shared variables keep the team's slots and first estimates. The first estimate of a new
     variable is that of the group transformed by g: at others, the covariance of the group would
-    make a rotation of all its variables observable by each other. The policy may renew them where
-    the join turns a map. Neither state is changed.
+    make a rotation of all its variables observable by each other. Where the join corrects a
+    heading far, the policy may renew first estimates, also shared ones. Neither state is changed.
 
     """
     ours, theirs = map(StackedVariables, shared_variables(team, group))
@@ -66,7 +66,9 @@ def joined_state(
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
     before = np.concatenate([team.estimates(), carried])
     linearization.transport_errors(state, before, state.x_hat - before)
-    linearization.renew_turned_points(state, before)
+    headings = state.headings()
+    if linearization.corrects_far(wrap_all(state.x_hat[headings] - before[headings])):
+        linearization.renew_displaced_points(state)
     # The rendezvous points of the two frames are no longer needed.
     marginalize(
         [key for key in team.rendezvous_points if key in group.rendezvous_points], [state])

@@ -192,7 +192,7 @@ def most_certain_robot(state: JointState, points: Variables) -> Robot | None:
 
 def _join(team: Filter, group: JointState, g: Array) -> None:
     """Join a group, at pose g (3,) in the frame of the team, whose policy changes with it."""
-    policy = team.linearization.for_unknown_starts()
+    policy = team.linearization.of_joining_maps()
     team.state, team.linearization = joined_state(team.state, group, g, policy), policy
 
 

@@ -260,19 +260,22 @@ def test_updates_in_blocks_give_the_same_with_submaps_as_with_the_whole_state(
 
 def test_first_estimates_are_renewed_in_submaps_as_in_the_whole_state(monkeypatch):
     # Here no heading is corrected by 0.1 rad, and no landmark moves by a fifth of a distance.
-    monkeypatch.setattr(RenewedFirstEstimates, 'max_turn', 0.004)
-    monkeypatch.setattr(first_estimates, 'MAX_TURNED', 0.004)
+    monkeypatch.setattr(RenewedFirstEstimates, 'max_correction', 0.004)
+    monkeypatch.setattr(first_estimates, 'MAX_DISPLACED', 0.004)
     scenario = town(landmarks=250, steps=300, seed=1)
     kept, _ = run(scenario, WHOLE_MAP, FirstEstimates())
 
     whole, _ = run(scenario, WHOLE_MAP, RenewedFirstEstimates())
     compressed, entered = run(scenario, ActiveSubmap(100, 10), RenewedFirstEstimates())
 
-    assert entered
+    # A renewal leaves the submap.
+    assert entered > run(scenario, ActiveSubmap(100, 10), FirstEstimates())[1]
     renewed = np.abs(whole.state.x_first - kept.state.x_first) > 1e-3
     assert np.count_nonzero(renewed) > 20
     assert_allclose(compressed.state.x_first, whole.state.x_first, atol=1e-10)
     assert_allclose(compressed.state.estimates(), whole.state.x_hat, atol=1e-10)
+    assert_allclose(*(
+        f.state.marginal(whole.state.variables()) for f in (compressed, whole)), atol=1e-10)
 
 
 def row_of_landmarks(submap, names=('r1',)):

@@ -5,12 +5,14 @@
 from copy import deepcopy
 from types import SimpleNamespace
 
+import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
-from fej_slam_ros.core.ekf import joint_update
+from fej_slam_ros.core.ekf import first_estimates, joint_update
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap
 from fej_slam_ros.core.ekf.gating import Gate
+from fej_slam_ros.core.ekf.linearization import RenewedFirstEstimates
 from fej_slam_ros.core.pieces import between_pieces
 from helpers.core import SmallTeam
 
@@ -65,6 +67,21 @@ def test_blocks_give_the_joint_update(monkeypatch, kind, iterations, block):
 
     joint, blocks = in_both_ways(monkeypatch, filter_, scans, block)
 
+    assert_same(joint, blocks)
+
+
+def test_blocks_are_iterated_and_renew_first_estimates_as_the_joint_update_does(monkeypatch):
+    team, filter_ = known_map('fej', 1)
+    filter_.linearization = RenewedFirstEstimates()
+    # Less than any correction and any distance from a first estimate.
+    monkeypatch.setattr(RenewedFirstEstimates, 'max_correction', 0.0)
+    monkeypatch.setattr(first_estimates, 'MAX_DISPLACED', 0.0)
+
+    joint, blocks = in_both_ways(monkeypatch, filter_, [team.look('r1')], 7)
+
+    first = joint[0].state.x_first
+    assert np.count_nonzero(first != filter_.state.x_first) > 20
+    assert_allclose(blocks[0].state.x_first, first, rtol=0, atol=ROUNDING * 10)
     assert_same(joint, blocks)
 
 
