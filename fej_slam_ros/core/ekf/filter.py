@@ -222,6 +222,7 @@ class Filter:
     def _corrects_far(self, update: JointUpdate) -> bool:
         """Return whether an update corrects a heading so far that points are to be renewed."""
         policy = self.linearization
+        # Not asked without need: in blocks, the correction is computed again by the update.
         return policy.max_correction < np.inf and policy.corrects_far(
             update.correction().dx[self.state.headings()])
 

@@ -147,7 +147,7 @@ class Linearization:
         return False
 
     def corrects_far(self, turns: Array) -> bool:
-        """Return whether any correction of the headings (N,) [rad] is larger than the largest."""
+        """Return whether any correction of the headings (N,) [rad] is above `max_correction`."""
         return bool((np.abs(turns) > self.max_correction).any())
 
     def renew_displaced_points(self, state: JointState) -> None:
