@@ -77,9 +77,10 @@ static __attribute__((target("avx512f"))) void subtract_rank(
         for (Index j = 0; j < (is_lower ? last : n); j += WIDTH) {
             Index columns = n - j < WIDTH ? n - j : WIDTH;
             double *C_j = C + j * C_stride;
+            __mmask8 of_columns = (__mmask8)((1 << columns) - 1);
             for (Index l = 0; l < rank; l++)
-                for (Index c = 0; c < WIDTH; c++)
-                    packed[l * WIDTH + c] = c < columns ? B[l * B_stride + j + c] : 0.0;
+                _mm512_storeu_pd(
+                    packed + l * WIDTH, _mm512_maskz_loadu_pd(of_columns, B + l * B_stride + j));
             for (Index i = is_lower && j > first ? j : first; i < last;) {
                 int is_diagonal = is_lower && i == j;
                 Index rows = last - i < WIDTH ? last - i : WIDTH;
