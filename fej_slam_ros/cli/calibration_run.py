@@ -23,6 +23,7 @@ from fej_slam_ros.core.calibration.scales_of_errors import Errors, noise_scales
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_GAIN
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
+from fej_slam_ros.core.calibration.team_records import team_records, TeamRecords
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import NS, Odometry, PriorMap, Received, TrueLandmarks
@@ -105,17 +106,18 @@ def _calibrated_by(
             errors = _with_errors_of_ranges(errors, values, beginning, bar.update)
     records = with_corrected_headings(matched.records, errors.headings)
     corrected, growth, sigmas = _with_systematic_errors(values, errors), None, dict[str, Triple]()
+    team = None
     if arguments.source != 'innovations':
-        plain = [record for record, _ in records]
-        sigmas = odometry_sigmas(plain, parsed(corrected).estimation)
-        growth = growth_by_truth(plain, parsed(corrected).estimation)
+        team = team_records(records, settings)
+        sigmas = odometry_sigmas(team, parsed(corrected).estimation)
+        growth = growth_by_truth(team, parsed(corrected).estimation)
         corrected = _with_noise_growth(_with_odometry_sigmas(corrected, sigmas), growth)
-    estimates = _estimate(arguments, corrected, records)
+    estimates = _estimate(arguments, corrected, records, team)
     if growth is None and arguments.source != 'truth':
         growth = _growth_by_innovations(arguments, corrected, estimates, records)
         before, corrected = corrected, _with_noise_growth(corrected, growth)
         if corrected != before:
-            estimates = _estimate(arguments, corrected, records)
+            estimates = _estimate(arguments, corrected, records, team)
     return Calibration(
         _with_noise_scales(corrected, estimates), errors, sigmas, growth, estimates, matched)
 
@@ -216,13 +218,14 @@ def _rounded(errors: ErrorEstimate) -> list[float]:
 
 
 def _estimate(
-    arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received]
+    arguments: argparse.Namespace, values: Mapping[str, object], records: Sequence[Received],
+    team: TeamRecords | None,
 ) -> Estimates:
-    """Return the scales of the requested sources, ground truth first."""
+    """Return the scales of the requested sources, that by ground truth first."""
     settings, amounts = parsed(values), counts(records)
     errors: Mapping[str, Errors] = {}
-    if arguments.source != 'innovations':
-        errors = normalized_errors([record for record, _ in records], settings.estimation)
+    if team is not None:
+        errors = normalized_errors(team, settings.estimation)
     if arguments.source == 'truth' and not errors:
         raise UserError(
             f'{arguments.bag} has no ground truth that covers an observation or'

@@ -32,7 +32,7 @@ from fej_slam_ros.core.ordering.corrected_observations import (
     with_noise, without_observation_errors)
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import (
-    NS, Observation, Odometry, Record, RobotScan, Scan, ScanT)
+    NS, Observation, Odometry, RobotScan, Scan, ScanT)
 from fej_slam_ros.core.settings import NoiseSettings, Settings, Triple, with_equal_noise
 
 #: Degrees of freedom of an error by kind of noise, as in the parameters ``<kind>_noise_scale``.
@@ -45,7 +45,7 @@ ERROR_WINDOW, MAX_ODOMETRY_WINDOW = 5 * NS, 60 * NS
 MIN_POSITION_WINDOWS = 5
 
 
-def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str, Errors]:
+def normalized_errors(team: TeamRecords, settings: Settings) -> dict[str, Errors]:
     """
     Return the normalised errors squared of each kind of noise with ground truth.
 
@@ -53,7 +53,6 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     errors; noise scales are not used.
 
     """
-    team = TeamRecords(records, [robot.name for robot in settings.robots])
     errors: dict[str, Errors] = {'odometry': {
         robot.name: [
             float(nees(*error))
@@ -65,14 +64,13 @@ def normalized_errors(records: Iterable[Record], settings: Settings) -> dict[str
     return {kind: by_robot for kind, by_robot in errors.items() if any(by_robot.values())}
 
 
-def growth_by_truth(records: Iterable[Record], settings: Settings) -> float | None:
+def growth_by_truth(team: TeamRecords, settings: Settings) -> float | None:
     """
     Return the growth of the noise of observations [1/m], as of `noise_growth`.
 
     Settings as of `normalized_errors`, but for the growth that they have.
 
     """
-    team = TeamRecords(records, [robot.name for robot in settings.robots])
     constant = with_equal_noise(settings, observation_noise_growth=0.0)
     return noise_growth([
         [*chain.from_iterable(of_kind.values())]
@@ -105,11 +103,8 @@ def _errors_of_observations(
             for name, robot in robots.items()}}
 
 
-def odometry_sigmas(
-    records: Iterable[Record], settings: Settings
-) -> dict[str, Triple]:
+def odometry_sigmas(team: TeamRecords, settings: Settings) -> dict[str, Triple]:
     """Return odometry_sigma of robots without covariance for which one factor does not do."""
-    team = TeamRecords(records, [robot.name for robot in settings.robots])
     found = {}
     for robot in settings.robots:
         odometry, (x, y, phi) = team.odometry[robot.name], robot.odometry_sigma

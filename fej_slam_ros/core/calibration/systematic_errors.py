@@ -11,7 +11,7 @@ from fej_slam_ros.core.calibration.errors_by_landmarks import fit_to_landmarks
 from fej_slam_ros.core.calibration.observation_errors import fit_observations, given_observations
 from fej_slam_ros.core.calibration.odometry_errors import fit_to_truth, given_odometry
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_SIGMAS
-from fej_slam_ros.core.calibration.team_records import TeamRecords
+from fej_slam_ros.core.calibration.team_records import team_records
 from fej_slam_ros.core.calibration.true_motions import true_motions, TrueMotions
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Received, TruePose
@@ -64,7 +64,7 @@ class SystematicErrors:
 
 def errors_by_truth(records: Sequence[Received], settings: Settings) -> SystematicErrors:
     """Return the errors that ground truth shows."""
-    team = _team(records, settings)
+    team = team_records(records, settings)
     odometry, headings = {}, {}
     for robot in settings.robots:
         motions = true_motions(team.odometry[robot.name], team.truth)
@@ -72,7 +72,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
             odometry[robot.name], heading = _with_heading_error(motions, given_odometry(robot))
             if heading is not None:
                 headings[robot.name] = heading
-    team = _team(with_corrected_headings(records, headings), settings)
+    team = team_records(with_corrected_headings(records, headings), settings)
     landmarks = team.truth.landmarks if settings.shared_landmark_ids else {}
     observations = {}
     for robot in settings.robots:
@@ -106,7 +106,7 @@ def with_errors_by_landmarks(
     found: SystematicErrors, records: Sequence[Received], settings: Settings
 ) -> SystematicErrors:
     """Return errors with those of other robots, which landmarks show."""
-    team = _team(records, settings)
+    team = team_records(records, settings)
     errors = {
         robot.name: fit_to_landmarks(team.odometry[robot.name], team.scans[robot.name], robot)
         for robot in settings.robots if robot.name not in found.odometry_by_truth}
@@ -129,8 +129,3 @@ def with_corrected_headings(
         (replace(record, pose=record.pose - [0.0, 0.0, errors[record.robot][0]])
          if isinstance(record, TruePose) and record.robot in errors else record, received)
         for record, received in records]
-
-
-def _team(records: Sequence[Received], settings: Settings) -> TeamRecords:
-    return TeamRecords(
-        (record for record, _ in records), [robot.name for robot in settings.robots])

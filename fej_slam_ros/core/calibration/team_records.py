@@ -9,7 +9,8 @@ from operator import attrgetter
 from fej_slam_ros.core.geometry import Array, between, compose, pose_at
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import (
-    NS, Odometry, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    NS, Odometry, Received, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+from fej_slam_ros.core.settings import Settings
 
 #: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
 #: against that of an observation.
@@ -41,6 +42,12 @@ class TeamRecords:
         #: true poses of each robot
         self.near = {
             robot: NearTruth(self.truth, robot, self.odometry[robot]) for robot in robots}
+
+
+def team_records(records: Iterable[Received], settings: Settings) -> TeamRecords:
+    """Return the records of the robots of a team."""
+    return TeamRecords(
+        (record for record, _ in records), [robot.name for robot in settings.robots])
 
 
 class NearTruth:

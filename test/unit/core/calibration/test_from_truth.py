@@ -10,6 +10,7 @@ import pytest
 
 from fej_slam_ros.core.calibration.from_truth import DOF, normalized_errors
 from fej_slam_ros.core.calibration.scales_of_errors import noise_scales
+from fej_slam_ros.core.calibration.team_records import team_records
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.ros.session import simulation
 from helpers.records import claiming, odometry, scan, team, true_pose
@@ -25,8 +26,14 @@ def simulated(seed, **changes):
         **changes}).records()]
 
 
+def errors_in(records, **changes):
+    settings = team(**changes)
+    return normalized_errors(
+        team_records([(record, None) for record in records], settings), settings)
+
+
 def scales(records, **changes):
-    errors = normalized_errors(records, team(**changes))
+    errors = errors_in(records, **changes)
     return {kind: noise_scales(values, DOF[kind]) for kind, values in errors.items()}
 
 
@@ -67,7 +74,7 @@ def test_odometry_leads_from_a_sparse_true_pose_to_an_observation(late):
         true_pose('r1', 10_000, start), TrueLandmarks({1: np.array([5.0, 3.0 + late])}, 0),
         scan('r1', ms, [(1, (3.1, 0.0))]), scan('r1', 10_400, [(1, (9.0, 0.0))])]
 
-    (squared,) = normalized_errors(records, team())['landmark']['r1']
+    (squared,) = errors_in(records)['landmark']['r1']
 
     # The robot is at (5.0, late), 3 m from the landmark.
     R = records[-2].observations[0].R
@@ -81,14 +88,14 @@ def test_beyond_odometry_nothing_leads_from_a_sparse_true_pose(ms):
         true_pose('r1', 10_000, (5.0, 0.0, 0.0)), TrueLandmarks({1: np.array([8.0, 0.0])}, 0),
         scan('r1', ms, [(1, (3.0, 0.0))])]
 
-    assert 'landmark' not in normalized_errors(records, team())
+    assert 'landmark' not in errors_in(records)
 
 
 def test_odometry_that_claims_to_be_exact_has_no_normalized_error():
     exact = [odometry('r1', ms, twist_covariance=np.zeros((3, 3))) for ms in range(0, 20_001, 100)]
     truth = [true_pose('r1', ms, (0.0, 0.0, 0.0)) for ms in range(0, 20_001, 100)]
 
-    assert normalized_errors([*exact, *truth], team()) == {}
+    assert errors_in([*exact, *truth]) == {}
 
 
 @pytest.mark.parametrize('known', [True, False])
@@ -153,7 +160,7 @@ def test_systematic_errors_count_in_full():
     truth = [true_pose('r1', ms, (ms / 1000.0, 0.0, 0.0)) for ms in times]
     slow = [odometry('r1', ms, (0.9 * ms / 1000.0, 0.0, 0.0), 0.01 * np.eye(3)) for ms in times]
 
-    errors = normalized_errors([*slow, *truth], team())['odometry']['r1']
+    errors = errors_in([*slow, *truth])['odometry']['r1']
 
     # 0.5 m in 5 s, against sqrt(50) times 0.1 m/s for 0.1 s.
     assert errors == pytest.approx([50.0] * 12)
@@ -167,7 +174,7 @@ def test_odometry_over_more_than_a_minute_is_no_error():
 
     def errors(*seconds):
         truth = [true_pose('r1', 1000 * s, (0.0, 0.0, 0.0)) for s in seconds]
-        return normalized_errors([*jumping, *truth], team()).get('odometry', {'r1': []})['r1']
+        return errors_in([*jumping, *truth]).get('odometry', {'r1': []})['r1']
 
     assert len(errors(*range(300))) == 196 // 5
     assert max(errors(*range(300))) == pytest.approx(5.0 ** 2 / (50 * 0.1 ** 2))
@@ -183,7 +190,7 @@ def test_errors_of_observations_that_persist_count_in_full():
     scans = [scan('r1', ms, [(1, [3.0, 4.0] + shift[ms // 5000 % 2])]) for ms in times]
     landmarks = TrueLandmarks({1: np.array([3.0, 4.0])}, 0)
 
-    errors = normalized_errors([*truth, landmarks, *scans], team())
+    errors = errors_in([*truth, landmarks, *scans])
 
     # 50 times 0.1 m in a window, against sqrt(50) times 0.1 m.
     assert errors['landmark']['r1'] == pytest.approx([50.0] * 12)
@@ -215,7 +222,7 @@ def test_a_gross_error_does_not_move_a_landmark_whose_position_is_not_known():
     points[300] += 50.0
     scans = [scan('r1', 100 * k, [(1, point)]) for k, point in enumerate(points)]
 
-    errors = normalized_errors([*truth, *scans], team())['landmark']['r1']
+    errors = errors_in([*truth, *scans])['landmark']['r1']
 
     # Of chi-square with 2 degrees of freedom: 12 windows have a mean of 2 within 0.6 (one sigma).
     assert len(errors) == 12
@@ -246,7 +253,7 @@ def test_a_mean_position_is_exact_in_the_directions_in_which_observations_are():
             scan('r1', ms, [(1, rng.normal([3.0, 0.0], [0.01, 1.0]))])
             for ms in range(1000, 60_000, 5000))]
 
-    errors = normalized_errors([*truth, *scans], team())['landmark']['r1']
+    errors = errors_in([*truth, *scans])['landmark']['r1']
 
     # Of chi-square with 2 degrees of freedom: 12 windows have a mean of 2 within 0.6 (one sigma).
     assert len(errors) == 12
@@ -258,7 +265,7 @@ def test_windows_of_several_robots_give_the_position_of_a_landmark():
         record for ms in range(0, 15_001, 100) for robot in ('r1', 'r2') for record in (
             true_pose(robot, ms, (0.0, 0.0, 0.0)), scan(robot, ms, [(1, (3.0, 4.0))]))]
 
-    found = normalized_errors(records, team())
+    found = errors_in(records)
 
     assert found['landmark']['r1'] == found['landmark']['r2'] == pytest.approx([0.0] * 4)
 
@@ -267,10 +274,10 @@ def test_a_landmark_that_is_observed_in_few_windows_has_no_position():
     truth = [true_pose('r1', ms, (0.0, 0.0, 0.0)) for ms in range(0, 20_001, 100)]
     scans = [scan('r1', ms, [(1, (3.0, 4.0))]) for ms in range(0, 20_000, 100)]
 
-    assert not normalized_errors([*truth, *scans], team())
+    assert not errors_in([*truth, *scans])
 
 
 def test_without_ground_truth_there_are_no_errors():
     measured = [r for r in simulated(1) if isinstance(r, (Odometry, Scan, RobotScan))]
 
-    assert not normalized_errors(measured, team())
+    assert not errors_in(measured)
