@@ -72,9 +72,12 @@ def _read(rows: 'csv.DictReader[str]', most: int) -> PriorMap:
     lines: dict[int, int] = {}
     landmarks = []
     for cells in rows:
-        if cells.get('frame', MAP) != MAP:
+        frame = cells.get('frame', MAP)
+        if frame is not None and frame != MAP:
             continue
         try:
+            if frame is None:
+                raise ValueError('it ends before frame')
             landmark = _landmark(cells)
         except ValueError as error:
             raise ValueError(f'correct line {rows.line_num}: {error}') from None

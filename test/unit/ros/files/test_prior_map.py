@@ -74,6 +74,7 @@ def test_rows_of_other_frames_are_ignored(file):
          "correct line 3: y is '' and not a finite number"),
         (f'{HEADER}\n1,nan,0,1,0,1\n', "correct line 2: x is 'nan' and not a finite number"),
         (f'{HEADER}\n1,0,0,1\n', 'correct line 2: it ends before cov_xy'),
+        (f'{HEADER},frame\n1;0,0,1,0,1,map\n', 'correct line 2: it ends before frame'),
         (f'{HEADER}\n1.0,0,0,1,0,1\n',
          f"correct line 2: id is '1.0' and not {AN_ID}"),
         (f'{HEADER}\n-1,0,0,1,0,1\n',
