@@ -236,7 +236,7 @@ The parameters of the node do not affect the result.
 
 With `peers`, there is no central node, see [csam.md](csam.md). By default, the IDs of robots in
 `<robot>/robots` clouds are then their positions in the sorted names of `robots` and `peers`. The
-estimator ignores these.
+estimator counts `peers` among its robots, and ignores the others.
 
 {_parameter_table({n: p for n, p in smoother.items() if n in of_node and n not in estimator})}
 
