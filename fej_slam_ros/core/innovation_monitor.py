@@ -25,6 +25,7 @@ class InnovationMonitor:
             self.nis[robot].add(stamp, values)
         self.log_likelihood += innovation.log_likelihood()
         self.lost_robots.add(statistics)
+        self.lost_robots.rejections.add(innovation, statistics)
         for a in innovation.used:
             self._add_observation_of_robot(a, contradicts=False)
         for gated in innovation.rejected:

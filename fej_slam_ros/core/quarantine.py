@@ -89,6 +89,7 @@ class Quarantine:
         self._restart_unjoined(observers, step.stamp, min_landmarks)
         self._restart_ambiguous(observers, step.stamp)
         self._restart_contradicted(observed, step.stamp)
+        self._restart_rejected([*observers, *observed], step.stamp, min_landmarks)
 
     def restrict_suspected(self, group: FrameGroup, scan: AssociatedScan) -> AssociatedScan:
         """
@@ -161,6 +162,17 @@ class Quarantine:
                     robot, stamp,
                     f'{observations} observations of it in a row contradict its pose')
 
+    def _restart_rejected(
+        self, robots: Iterable[str], stamp: int, min_landmarks: int
+    ) -> None:
+        """Restart robots that a row of observations shows to be turned, if they can join again."""
+        for robot in robots:
+            count, group = self._lost_robots.rejections.count(robot), self._groups.of(robot)
+            if count and _can_leave(group, min_landmarks):
+                remove_untrusted(group.state, robot)
+                self._restart(
+                    robot, stamp, f'{count} observations by and of it in a row failed the gate')
+
     def _restart_ambiguous(self, robots: Iterable[str], stamp: int) -> None:
         """
         Restart robots whose observations without ID fit several places, if they can join again.
@@ -189,12 +201,16 @@ def _why_turned(group: FrameGroup, robot: str, min_landmarks: int) -> str:
     """Return why a robot restarts for its uncertain heading, '' if it does not."""
     variance = group.robots[robot].turn_variance
     is_uncertain = variance > group.filter.linearization.max_turn_sigma ** 2
-    if not is_uncertain or len(group.robots) == 1 or (
-            _count_with_ids(group.state) < min_landmarks):
+    if not is_uncertain or not _can_leave(group, min_landmarks):
         return ''
     return (
         f'its heading has become uncertain by {math.sqrt(variance):.2f} rad since it was last'
         ' corrected')
+
+
+def _can_leave(group: FrameGroup, min_landmarks: int) -> bool:
+    """Return whether a frame keeps a robot without this one, and this one can join it again."""
+    return len(group.robots) > 1 and _count_with_ids(group.state) >= min_landmarks
 
 
 def _count_with_ids(state: JointState) -> int:

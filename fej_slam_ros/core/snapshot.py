@@ -37,6 +37,8 @@ from fej_slam_ros.core.data_association.failure_detection import (
 from fej_slam_ros.core.data_association.landmark_manager import FieldOfView, LandmarkManager
 from fej_slam_ros.core.ekf.active_submap import ActiveSubmap
 from fej_slam_ros.core.ekf.compressed_covariance import CompressedCovariance
+from fej_slam_ros.core.ekf.consecutive_rejections import (
+    ConsecutiveRejections, RejectedInARow)
 from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate, InflatingGate, ScanGateStatistics
@@ -86,7 +88,7 @@ SNAPSHOT_CLASSES: tuple[type, ...] = (
     ScanGateStatistics,
     Standard, FirstEstimates, RenewedFirstEstimates, Ideal, Invariant,
     LandmarkManager, FieldOfView, LostRobotDetector, ContradictionsByOthers, ScanEvidence,
-    LostRobot, MapJoiner,
+    LostRobot, ConsecutiveRejections, RejectedInARow, MapJoiner,
     NisMonitor, PoseEvaluation, PoseScore, RecordedTruth, LocalTruth,
     Odometry, Scan, Observation, RobotScan, RobotObservation, PosePrior, TruePose, RendezvousKey,
     Rejection, RejectionReason, RobotSettings,

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Container
 from dataclasses import dataclass, replace
 
+from fej_slam_ros.core.ekf.consecutive_rejections import ConsecutiveRejections
 from fej_slam_ros.core.ekf.gating import MIN_KNOWN, ScanGateStatistics, StatisticsByRobot
 
 #: Number of consecutive scans that mostly failed after which a robot counts as lost.
@@ -146,6 +147,7 @@ class LostRobotDetector:
         self._evidence: dict[str, ScanEvidence] = {}
         self._lost: dict[str, LostRobot] = {}
         self.by_others = ContradictionsByOthers()  #: observations of robots, by other robots
+        self.rejections = ConsecutiveRejections()  #: the latest observations by and of each robot
         # Twice the number of scans that mostly failed the gate without a contradiction, less those
         # that passed, or 0.
         self._gated: Counter[str] = Counter()
@@ -207,6 +209,7 @@ class LostRobotDetector:
     def forget_scans(self, robot: str) -> None:
         """End the suspicion that a robot is lost."""
         self._gated.pop(robot, None)
+        self.rejections.forget(robot)
         self._forget_contradictions(robot)
 
     def _forget_contradictions(self, robot: str) -> None:

@@ -5,6 +5,7 @@
 from collections import defaultdict
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +56,7 @@ class GatedObservation(NamedTuple):
     association: Association
     d2: float
     threshold: float
+    on_arcs: float = np.inf  #: the squared distance if errors lie on arcs
 
     def passed(self) -> bool:
         """Return whether it passed the gate itself, so that only its scan is suspected."""
@@ -63,6 +65,10 @@ class GatedObservation(NamedTuple):
     def contradicts(self) -> bool:
         """Return whether the observation contradicts the estimate."""
         return self.d2 > max(self.threshold, CONTRADICTION_D2)
+
+    def least_d2(self) -> float:
+        """Return the squared distance by linear errors or by those on arcs, whichever is less."""
+        return min(self.d2, self.on_arcs)
 
 
 class GateResult(NamedTuple):
@@ -199,8 +205,9 @@ class Gate:
         suspected = [name for name, scan in statistics.items() if self._is_suspected(scan)]
         observations, used = self._selected(observations, r, S, passed, suspected)
         results = [
-            GatedObservation(a, float(distance), self.threshold)
-            for a, distance in zip(observations, d2)]
+            GatedObservation(a, *distances)
+            for a, *distances in zip(
+                observations, d2.tolist(), repeat(self.threshold), on_arcs.tolist())]
         return GateResult(
             [a for a, is_used in zip(observations, used) if is_used],
             [g for g, is_used in zip(results, used) if not is_used],

@@ -68,6 +68,35 @@ def test_two_trusted_landmarks_that_fit_end_a_suspicion():
     assert 9 in {f.id for f in estimator.landmarks()}
 
 
+def one_by_one(landmarks, distance):
+    """Return what r2 sees from a distance ahead, one landmark at a time, in turn."""
+    return [[(k, (x - distance, y))] for k, (x, y) in landmarks] * (15 // len(landmarks))
+
+
+def test_single_landmarks_correct_a_robot_a_few_standard_deviations_off():
+    estimator, results = estimate(standing([*[VIEW] * 5, *one_by_one(VIEW[:3], 0.5)]))
+
+    assert set(frames(results)) == {'map'}
+    # The third is as far off as the first two, and shows that.
+    assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.GATED: 3}
+    # Twelve observations of 0.1 m, and odometry of 1 cm in each step.
+    assert estimator.pose('r2').pose[:2] == pytest.approx([0.5, 0.0], abs=0.1)
+
+
+def test_single_landmarks_that_contradict_the_pose_let_a_robot_restart():
+    estimator, results = estimate(standing([*[VIEW] * 5, *one_by_one(VIEW[:3], 3.0)]))
+
+    # Nine are needed; three more start its own map with all three landmarks, by which it joins.
+    assert frames(results) == [*['map'] * 13, *['r2/map'] * 3, *['map'] * 4]
+    assert estimator.pose('r2').pose[:2] == pytest.approx([3.0, 0.0], abs=0.1)
+
+
+def test_two_landmarks_that_contradict_a_pose_may_have_been_moved():
+    _, results = estimate(standing([*[VIEW] * 5, *one_by_one(VIEW[:2], 3.0)]))
+
+    assert set(frames(results)) == {'map'}
+
+
 @pytest.mark.parametrize('known', [[], VIEW[:1]])
 def test_a_suspected_robot_on_unknown_ground_maps_again_after_ten_scans(known):
     estimator, _ = estimate(standing([*[VIEW] * 5, SHIFTED, *[[*known, NEW]] * 12]))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core.ekf.consecutive_rejections import ConsecutiveRejections
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Association, Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
@@ -44,13 +45,15 @@ def scan(error, count=4, moved=None, ids=None, sigma=SIGMA):
         for k, z_k in zip(ids or range(count), z)]
 
 
-def updated(filter_, observations, may_have_slipped=True):
+def updated(filter_, observations, may_have_slipped=True, rejections=None):
     """Return P (3, 3) of the robot before and after its covariance is inflated."""
     innovation = filter_.update(observations)
     (robot,) = filter_.state.robots.values()
     before = filter_.state.marginal([robot])
-    inflate_poses(
-        filter_.state, innovation, innovation.scan_gate_statistics(), lambda _: may_have_slipped)
+    statistics = innovation.scan_gate_statistics()
+    rejections = rejections or ConsecutiveRejections()
+    rejections.add(innovation, statistics)
+    inflate_poses(filter_, innovation, statistics, rejections, lambda _: may_have_slipped)
     return before, filter_.state.marginal([robot])
 
 
@@ -115,3 +118,43 @@ def test_two_landmarks_are_enough():
     before, after = updated(*scan(SLIP, count=2))
 
     assert after[2, 2] > 2.0 * before[2, 2]
+
+
+def one_by_one(error, may_have_slipped=True):
+    """Return a filter after three scans of one landmark each, and P (3, 3) before and after."""
+    filter_, (a, b, *_) = scan(error)
+    rejections = ConsecutiveRejections()
+    (before, _), _, (_, after) = (
+        updated(filter_, [observation], may_have_slipped, rejections) for observation in (a, b, a))
+    return filter_, rejections, before, after
+
+
+def test_three_scans_of_a_landmark_each_inflate_the_pose_together():
+    filter_, rejections, before, after = one_by_one(SLIP)
+    _, observations = scan(SLIP)
+
+    assert_allclose(after / after[0, 0], before / before[0, 0], atol=1e-9)
+    assert rejections.count('r') == 0
+    innovation = filter_.update([
+        a._replace(observer=filter_.state.robots['r'],
+                   observed=filter_.state.landmarks[a.observed.key]) for a in observations])
+    assert len(innovation.used) == 4
+    assert_allclose(filter_.state.pose(filter_.state.robots['r']), SLIP, atol=NOISE / 2.0)
+
+
+def test_three_scans_of_a_landmark_each_leave_a_robot_that_has_not_slipped():
+    _, rejections, before, after = one_by_one(SLIP, may_have_slipped=False)
+
+    assert_array_equal(after, before)
+    assert rejections.count('r') == 3
+
+
+def test_a_heading_that_would_be_too_uncertain_to_be_linearised_is_not_inflated():
+    # 6 standard deviations of 0.15 rad would become 0.5 rad or more, of at most 0.3 rad.
+    filter_, (a, b, *_) = scan(15.0 * SLIP, sigma=np.array([0.3, 0.3, 0.15]))
+    rejections = ConsecutiveRejections()
+
+    results = [updated(filter_, [x], rejections=rejections) for x in (a, b, a)]
+
+    assert rejections.count('r') == 3
+    assert_array_equal(results[-1][1], results[0][0])
