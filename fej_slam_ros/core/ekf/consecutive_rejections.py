@@ -34,8 +34,12 @@ class RejectedInARow:
     """The latest observations by and of a robot, all of which failed the gate."""
 
     begin: int  #: stamp of the first [ns]
-    #: their squared distances, by the other robot or the landmark
+    #: the latest squared distances by the other robot or the landmark, at most `MIN_OF_LOST` each
     d2: dict[str | LandmarkKey, list[float]] = field(default_factory=dict)
+
+    def add(self, other: str | LandmarkKey, d2: float) -> None:
+        """Add a further observation."""
+        self.d2[other] = [*self.d2.get(other, []), d2][-MIN_OF_LOST:]
 
     def explained(self) -> list[float]:
         """Return the distances if a pose that is a few standard deviations off explains enough."""
@@ -72,7 +76,7 @@ class ConsecutiveRejections:
                 is_alone = isinstance(other, Robot) or not statistics[robot.name].can_clear()
                 if is_alone and not gated.passed():
                     row = self._rows.setdefault(robot.name, RejectedInARow(robot.stamp))
-                    row.d2.setdefault(_key(other), []).append(gated.least_d2())
+                    row.add(_key(other), gated.least_d2())
 
     def factor(self, robot: str) -> float:
         """Return the factor on the covariance of a robot that explains its row, 1 without."""

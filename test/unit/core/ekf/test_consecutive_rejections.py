@@ -80,6 +80,17 @@ def test_nine_observations_of_three_landmarks_show_a_lost_robot_at_any_distance(
     assert (rejections.count('r1'), rejections.factor('r1')) == (9, 1.0)
 
 
+def test_of_each_landmark_the_latest_nine_observations_count():
+    a, b, _ = LANDMARKS
+    early, late = [failed(R1, a, 15.0)] * 100, [failed(R1, a, 35.0)] * 9
+
+    rejections = after(*early, *late, failed(R1, b, 25.0))
+
+    assert rejections.count('r1') == 10
+    # Half of the mean, (9 * 35 + 25) / 10.
+    assert rejections.factor('r1') == pytest.approx(17.0)
+
+
 @pytest.mark.parametrize(('innovation', 'count'), [
     (passed(R1, LANDMARKS[2]), 0), (passed(R1, R2), 0), (passed(R2, R1), 0),
     (passed(R2, LANDMARKS[2]), 3),
