@@ -15,7 +15,8 @@ class PoseEstimate:
 
     robot: str  #: name of the robot
     stamp: int  #: time of the pose [ns]
-    frame: str  #: ``map``, or ``<robot>/map`` while the robot has not joined the team
+    #: ``map``, or ``<robot>/map`` of it or another robot while it has not joined the team
+    frame: str
     pose: Array  #: (3,) array, [x, y, phi] in the frame [m, m, rad]
     P: Array  #: (3, 3) array, covariance of the pose
 

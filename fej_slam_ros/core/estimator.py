@@ -284,10 +284,9 @@ class Estimator(TeamInput[StepResult]):
         """Record the statistics, moved landmarks and rejected observations of an update."""
         scan_statistics = innovation.scan_gate_statistics()
         self.innovations.add(stamp, innovation, scan_statistics)
-        lost_robots = self.innovations.lost_robots
         inflate_poses(
-            group.filter, innovation, scan_statistics, lost_robots.rejections,
-            lost_robots.may_have_slipped)
+            group.filter, innovation, scan_statistics, self.innovations.lost_robots.rejections,
+            self.innovations.lost_robots.may_have_slipped)
         for started in review_landmarks(
                 group.state, innovation, scan_statistics, stamp, self.settings.moved_landmarks):
             self.statistics.reject_observation(started)

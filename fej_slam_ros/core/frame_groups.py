@@ -239,14 +239,14 @@ class FrameGroups:
 
     def _begin_own_frame(self, robot: str, stamp: int) -> None:
         """Start a robot in a frame whose origin is its present pose."""
-        for group in [group for group in self.others if group.owner == robot]:
-            if group.is_previous:
-                self._drop(group)
-            else:
-                # The map of its previous frame may still join.
-                self.others.remove(group)
-                self.others.append(group)
-                group.is_previous = True
+        *older, = [group for group in self.others if group.owner == robot]
+        for group in older[:-1]:
+            self._drop(group)
+        # The map of its previous frame may still join.
+        for group in older[-1:]:
+            self.others.remove(group)
+            self.others.append(group)
+            group.is_previous = True
         policy = self._policy(LocalTruth(self._truth, robot, stamp)).of_joining_maps()
         group = FrameGroup(self._new_filter(policy), robot)
         group.state.insert_robot(robot, stamp, np.zeros(3), np.zeros((3, 3)))

@@ -188,7 +188,7 @@ class Quarantine:
                     robot, stamp, f'{observations} observations in a row fit several landmarks')
 
     def _restart(self, robot: str, stamp: int, reason: str) -> None:
-        self._lost_robots.forget_scans(robot)
+        self._lost_robots.begin_frame(robot)
         self._statistics.count_restart(robot, reason)
         self._groups.restart(robot, stamp, reason)
 

@@ -60,10 +60,10 @@ class TeamJoiner:
         self._statistics = statistics
         self._pose_priors = pose_priors
         self._joiner = _map_joiner(settings)
-        # By the owners of two groups: when their landmarks without ID were compared [ns], and why
+        # By the frames of two groups: when their landmarks without ID were compared [ns], and why
         # they do not join.
         self._compared: dict[tuple[str, str], tuple[int, str]] = {}
-        # By the owners of two groups: when joining them is attempted again [ns], how many
+        # By the frames of two groups: when joining them is attempted again [ns], how many
         # landmarks and points they shared when it failed, how often it did in a row, and why.
         self._postponed: dict[tuple[str, str], tuple[int, int, int, str]] = {}
 
@@ -200,6 +200,8 @@ class TeamJoiner:
 
     def _join_groups(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group; on failure, remove the outliers."""
+        if not group.robots and not other.robots:
+            return JoinFailure('neither map has a robot, with which errors turn')
         failure = self._join_by_shared(group, other)
         if failure is not None and not failure.has_outliers():
             failure = self._join_without_ids(group, other, failure)
@@ -230,20 +232,20 @@ class TeamJoiner:
 
     def _join_by_shared(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group, but not again soon if that is expensive."""
-        names, newest = (group.owner, other.owner), _newest_stamp(group, other)
+        frames, newest = (group.frame, other.frame), _newest_stamp(group, other)
         shared = sum(len(mine.keys() & theirs.keys()) for mine, theirs in (
             (group.state.landmarks, other.state.landmarks),
             (group.state.rendezvous_points, other.state.rendezvous_points)))
-        due, shared_then, failures, reason = self._postponed.get(names, (newest, 0, 0, ''))
+        due, shared_then, failures, reason = self._postponed.get(frames, (newest, 0, 0, ''))
         # A robot that has restarted shares fewer.
         if newest < due and shared >= shared_then:
             return JoinFailure(reason)
         failure = self._joiner.join(group.filter, other.filter)
-        self._postponed.pop(names, None)
+        self._postponed.pop(frames, None)
         if failure is not None and not failure.has_outliers():
             failures = min(failures + 1, MAX_FAILURES)
             pause = int(COMPARISON_PERIOD * failures * (shared / VARIABLES_OF_PERIOD) ** 3)
-            self._postponed[names] = (
+            self._postponed[frames] = (
                 newest + min(pause, MAX_PAUSE), shared, failures, failure.reason)
         return failure
 
@@ -255,9 +257,9 @@ class TeamJoiner:
 
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:
         """Join another group to a group that has the same landmarks without ID."""
-        names = group.owner, other.owner
+        frames = group.frame, other.frame
         newest = _newest_stamp(group, other)
-        compared_at, reason = self._compared.get(names, (-COMPARISON_PERIOD, ''))
+        compared_at, reason = self._compared.get(frames, (-COMPARISON_PERIOD, ''))
         if 0 <= newest - compared_at < COMPARISON_PERIOD:
             return JoinFailure(reason)
         found = shared_landmarks(group.state, other.state)
@@ -265,9 +267,9 @@ class TeamJoiner:
             found if isinstance(found, JoinFailure)
             else self._join_by_matches(group, other, found))
         if failure is None:
-            self._compared.pop(names, None)
+            self._compared.pop(frames, None)
         else:
-            self._compared[names] = newest, failure.reason
+            self._compared[frames] = newest, failure.reason
         return failure
 
     def _join_by_matches(

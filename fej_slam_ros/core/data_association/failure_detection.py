@@ -39,7 +39,8 @@ AMBIGUOUS_SCANS, AMBIGUOUS_OBSERVATIONS = 5, 15
 #: they are, after which it restarts; as many as of landmarks in its own scans.
 CONTRADICTIONS_BY_OTHERS = MIN_CONTRADICTIONS
 
-#: Number of scans in a row that must fit the map of its own frame before a lost robot may join.
+#: Number of scans, without one that mostly fails, that must fit the map of its own frame before a
+#: lost robot may join.
 PROBATION = 20
 #: Number of further scans after which its own map is wrong if it shares enough landmarks to join.
 MAX_UNJOINED = 100
@@ -132,6 +133,10 @@ class ContradictionsByOthers:
         """Forget the observations of a robot."""
         self._counts.pop(robot, None)
 
+    def forget_scans(self, robot: str) -> None:
+        """Forget whether landmarks confirm the pose of a robot, which is another one now."""
+        self._confirmed.pop(robot, None)
+
 
 class LostRobotDetector:
     """
@@ -206,11 +211,18 @@ class LostRobotDetector:
         self.forget_scans(robot)
         self._lost.pop(robot, None)
 
+    def begin_frame(self, robot: str) -> None:
+        """Forget the scans of a robot that restarts, and begin its probation, if any, again."""
+        self.forget_scans(robot)
+        if robot in self._lost:
+            self._lost[robot] = LostRobot(self._lost[robot].reason)
+
     def forget_scans(self, robot: str) -> None:
         """End the suspicion that a robot is lost."""
         self._gated.pop(robot, None)
         self.rejections.forget(robot)
         self._forget_contradictions(robot)
+        self.by_others.forget_scans(robot)
 
     def _forget_contradictions(self, robot: str) -> None:
         self._evidence.pop(robot, None)

@@ -148,15 +148,19 @@ def scan_gate_statistics(
     Return the statistics of each robot's scan.
 
     The results are observations, whether they contradict the estimate, and whether they failed
-    the gate.
+    the gate. A landmark that several sensors observe counts once, by most of its observations.
 
     """
-    statistics: defaultdict[str, ScanGateStatistics] = defaultdict(ScanGateStatistics)
+    statistics: dict[str, ScanGateStatistics] = {}
+    of_landmarks: defaultdict[tuple[str, Landmark], list[tuple[bool, bool]]] = defaultdict(list)
     for a, failed, gated in results:
-        scan = statistics[a.observer.name]
+        statistics.setdefault(a.observer.name, ScanGateStatistics())
         if isinstance(a.observed, Landmark):
-            scan.add(a.observer.name, a.observed, failed, gated)
-    return dict(statistics)
+            of_landmarks[a.observer.name, a.observed].append((failed, gated))
+    for (robot, landmark), found in of_landmarks.items():
+        failed, gated = (2 * sum(each) > len(found) for each in zip(*found))
+        statistics[robot].add(robot, landmark, failed, gated)
+    return statistics
 
 
 class Gate:

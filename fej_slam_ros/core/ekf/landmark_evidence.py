@@ -8,8 +8,9 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array
 
-#: Consecutive rejected observations after which a landmark counts as moved, and the distance
-#: between their observers [m]: from one position, a second landmark beside it has the same effect.
+#: Consecutive rejected observations after which a landmark counts as moved, and the distance of an
+#: observer from the first one [m]: from one position, a second landmark beside it has the same
+#: effect.
 MOVED_MIN_OBSERVATIONS = 10
 MOVED_MIN_DISTANCE = 2.0
 
@@ -20,20 +21,20 @@ class MovedLandmarkEvidence:
 
     observations: int = 0  #: number of observations
     robots: set[str] = field(default_factory=set)  #: names of the observers
-    #: low, high: (2,) arrays, corners of the box around the observers' positions [m]
-    low: Array = field(default_factory=lambda: np.full(2, np.inf))
-    high: Array = field(default_factory=lambda: np.full(2, -np.inf))
+    first: Array | None = None  #: (2,) array, position of the first observer [m]
+    distance: float = 0.0  #: of the farthest observer from it [m]
 
     def add(self, robot: str, position: Array) -> None:
         """Add an observation that failed the gate, from a position (2,)."""
         self.observations += 1
         self.robots.add(robot)
-        self.low = np.minimum(self.low, position)
-        self.high = np.maximum(self.high, position)
+        if self.first is None:
+            self.first = position
+        self.distance = max(self.distance, float(np.linalg.norm(position - self.first)))
 
     def is_sufficient(self) -> bool:
         """Return whether there are enough observations, from distant poses or by two robots."""
-        apart = float(np.linalg.norm(self.high - self.low)) >= MOVED_MIN_DISTANCE
+        apart = self.distance >= MOVED_MIN_DISTANCE
         return self.observations >= MOVED_MIN_OBSERVATIONS and (apart or len(self.robots) > 1)
 
 

@@ -21,9 +21,10 @@ from fej_slam_ros.core.ekf.state import (
 from fej_slam_ros.core.geometry import (
     Array, compose, inverse, perpendicular, poses_plus, rigid_fit, starts_of, transform,
     wrap_all)
+from fej_slam_ros.core.joining.initial_alignment import RELATIVE_PRECISION
 from fej_slam_ros.core.records import LandmarkKey, RendezvousKey
 
-#: The iteration ends with a step below this [m, rad].
+#: The iteration ends with a step below this [m, rad], or below rounding.
 FIT_TOLERANCE = 1e-10
 MAX_FIT_ITERATIONS = 50
 #: Points that are closer to each other than this, relative to their distance from the origin, are
@@ -166,6 +167,7 @@ def fit(
     x_T, P_T = team.estimates_of(ours.indices), team.marginal(ours.variables)
     x_L, P_L = group.estimates_of(theirs.indices), group.marginal(theirs.variables)
     g = _closed_form(x_T, x_L, ours.variables)
+    smallest = max(FIT_TOLERANCE, RELATIVE_PRECISION * float(np.abs(x_T).max()))
     for _ in range(MAX_FIT_ITERATIONS):
         x_carried = ours.carried(g, x_L)
         D = ours.derivative(g, x_carried)
@@ -174,7 +176,7 @@ def fit(
         information = D.T @ cho_solve(S_factor, D)
         dg = np.linalg.solve(information, D.T @ cho_solve(S_factor, r))
         g = poses_plus(g[None], dg)[0]
-        if np.abs(dg).max() < FIT_TOLERANCE:
+        if np.abs(dg).max() < smallest:
             break
     P = cho_solve(cho_factor(information), np.eye(3))
     return FrameFit(

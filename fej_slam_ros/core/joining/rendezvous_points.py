@@ -12,6 +12,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from fej_slam_ros.core import models
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.state import JointState
 from fej_slam_ros.core.records import RendezvousKey, RobotObservation
@@ -43,8 +44,8 @@ def add_rendezvous_point(
     marginalize(
         [point.key for point in earlier[:-MAX_RENDEZVOUS_POINTS + 1]],
         (observer.state, observed.state))
-    observed.state.augment_rendezvous_point(
-        key, robot, position, np.eye(2, 3), np.zeros((2, 2)))
+    F = models.F(observed.linearization.offset(observed.state, robot, key, position))
+    observed.state.augment_rendezvous_point(key, robot, position, F, np.zeros((2, 2)))
     observer.start_rendezvous_point(key, observation)
     return True
 

@@ -88,6 +88,21 @@ def test_only_the_last_map_that_a_robot_left_is_kept():
     assert [list(group.state.landmarks) for group in groups] == [[], [('', 9)], []]
 
 
+def test_a_map_that_a_robot_has_joined_again_is_kept_when_it_restarts():
+    groups = groups_of('r1', 'r2')
+    landmark(groups, 'r2', 7)
+    groups.restart('r2', 9, 'lost')
+    landmark(groups, 'r2', 8)
+    previous, own = groups.others
+    previous.filter.state = own.filter.state  # as joining does
+    groups.merge(previous, own)
+
+    groups.restart('r2', 10, 'lost')
+
+    assert frames(groups) == {'map': ['r1'], 'r2/before/map': [], 'r2/map': ['r2']}
+    assert [list(group.state.landmarks) for group in groups] == [[], [('', 8)], []]
+
+
 def test_a_frame_without_robots_and_landmarks_vanishes():
     groups = groups_of('r1', 'r2')
 

@@ -204,6 +204,32 @@ def test_a_robot_that_no_longer_sends_is_found_among_the_landmarks_without_id_of
     assert [group.frame for group in joining.groups] == ['map']
 
 
+def test_the_map_that_a_robot_has_left_does_not_delay_the_join_of_its_present_one(joining):
+    points, elsewhere = np.random.default_rng(2).uniform(-8.0, 8.0, (2, 6, 2))
+    joining.observe_landmarks('r1', points, first_id=-200)
+    joining.observe_landmarks('r2', elsewhere, first_id=-100)
+    joining.groups.restart('r2', 9, 'lost')
+    joining.observe_landmarks('r2', in_frame_of_r2(points), first_id=-300)
+
+    joining.joiner.join({})
+
+    assert [group.frame for group in joining.groups] == ['map', 'r2/before/map']
+
+
+def test_two_maps_without_robots_wait_for_one(joining):
+    joining.share_landmarks(4)
+    joining.groups.restart('r2', 9, 'lost')
+    joining.groups.leave('r1')
+
+    joining.joiner.join({})
+    assert [group.frame for group in joining.groups] == ['map', 'r2/before/map', 'r2/map']
+
+    joining.observe_landmarks('r2', in_frame_of_r2(POINTS))
+    for _ in range(2):
+        joining.joiner.join({})
+    assert [group.frame for group in joining.groups] == ['map']
+
+
 def test_shared_landmarks_alone_join_nothing_before_step_0(joining):
     joining.groups.is_initialized = False
     joining.share_landmarks(3)

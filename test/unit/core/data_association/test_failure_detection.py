@@ -192,6 +192,33 @@ def test_others_contradict_a_pose_only_if_landmarks_confirm_theirs_and_not_this_
     assert contradictions(confirmed, None, passed=[2]) == 9
 
 
+def test_scans_of_a_pose_that_was_left_neither_confirm_nor_protect_it():
+    confirmed = ScanGateStatistics(known=4, trusted=4)
+    lost = LostRobotDetector()
+    lost.add({'r1': confirmed, 'r2': confirmed})
+    lost.reset('r1')
+
+    for _ in range(9):
+        lost.by_others.add('r1', 'r2', contradicts=True)
+        lost.by_others.add('r2', 'r1', contradicts=True)
+
+    # r1 has seen no landmark since, and may be wrong itself; r2 has.
+    assert (lost.by_others.count('r2'), lost.by_others.count('r1')) == (0, 9)
+
+
+def test_a_lost_robot_that_restarts_begins_its_probation_again():
+    lost = LostRobotDetector()
+    lost.restart('r1')
+    for _ in range(18):
+        lost.add({'r1': ScanGateStatistics(known=4)})
+
+    lost.begin_frame('r1')
+    lost.begin_frame('r2')
+
+    assert lost.on_probation() == {
+        'r1': 'it was lost: 20 more scans must fit the map of its own frame'}
+
+
 @pytest.fixture(scope='module')
 def kidnapping():
     """Return a run in which r1 is carried three metres on its second loop."""

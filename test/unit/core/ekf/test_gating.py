@@ -12,7 +12,7 @@ from scipy.stats import binom, chi2
 from fej_slam_ros.core.ekf.covariance import Slot
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import (
-    Association, Gate, InflatingGate, RobotAssociation, ScanGateStatistics)
+    Association, Gate, InflatingGate, RobotAssociation, scan_gate_statistics, ScanGateStatistics)
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
 from fej_slam_ros.core.ekf.state import JointState, Landmark, Robot
 from fej_slam_ros.core.records import Observation, RobotObservation, Scan
@@ -109,6 +109,19 @@ def test_an_outlier_is_rejected_and_the_rest_is_used():
         f.state.marginal([*f.state.robots.values(), *f.state.landmarks.values()])
         for f in (filter_, clean))
     assert_array_equal(P, clean_P)
+
+
+@pytest.mark.parametrize(('failed', 'count'), [
+    ([False, False], 0), ([True, False], 0), ([True, True], 1), ([True, True, False], 1)])
+def test_a_landmark_that_several_sensors_observe_counts_once_in_a_scan(failed, count):
+    robot = Robot('r1', Slot(0, 3), 0)
+    moved, other = (Landmark(('', k), Slot(0, 2), 'r1', 0) for k in (1, 2))
+    results = [(Association(robot, moved, None), has_failed, has_failed) for has_failed in failed]
+
+    found = scan_gate_statistics([*results, (Association(robot, other, None), False, False)])
+
+    assert found == {'r1': ScanGateStatistics(
+        known=2, failed=count, trusted=2, trusted_failed=count, gated=count, trusted_gated=count)}
 
 
 def test_a_rejected_observation_has_its_distance_and_the_threshold():

@@ -5,8 +5,11 @@
 import numpy as np
 from numpy.testing import assert_allclose
 import pytest
+from scipy.linalg import cho_factor
 from scipy.optimize import least_squares
 
+from fej_slam_ros.core.ekf.state import position_indices
+from fej_slam_ros.core.joining import frame_fit
 from fej_slam_ros.core.joining.frame_fit import fit
 from helpers.core import turn
 from helpers.joining import two_maps
@@ -38,3 +41,18 @@ def test_exact_maps_give_the_exact_pose():
     team, group, g = two_maps(noise=1e-9)
 
     assert_allclose(fit(team, group).pose, g, atol=1e-7)
+
+
+def test_a_fit_far_from_the_origin_ends_at_rounding(monkeypatch):
+    team, group, g = two_maps(noise=1e-9)
+    team.x_hat[position_indices(team.variables())] += [4e6, 5e5]
+    factored = []
+    monkeypatch.setattr(
+        frame_fit, 'cho_factor', lambda *a, **k: factored.append(a) or cho_factor(*a, **k))
+
+    found = fit(team, group)
+
+    # A millionth of a millimetre is the rounding of such coordinates.
+    assert_allclose(found.pose, g + np.array([4e6, 5e5, 0.0]), atol=1e-6)
+    # Each iteration factors S, and the covariance is factored at the end.
+    assert len(factored) <= 6

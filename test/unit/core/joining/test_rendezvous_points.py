@@ -12,12 +12,14 @@ from numpy.testing import assert_allclose
 import pytest
 from scipy.optimize import least_squares
 
+from fej_slam_ros.core.ekf.observability import rigid_motions
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import MissingTruthError
 from fej_slam_ros.core.joining.rendezvous_points import MAX_RENDEZVOUS_POINTS
 from fej_slam_ros.core.records import (
     NS, Odometry, PosePrior, RendezvousKey, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.core.snapshot import restore, snapshot
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import circles, estimate, frames, pose_difference, turn, unknown_place, wrapped
@@ -518,3 +520,24 @@ def test_observations_by_three_robots_at_once_determine_no_heading():
 
     assert estimator.groups.team.robots.keys() == {'r1', 'r2', 'r3'}
     assert 'at one place, which determines no heading' in estimator.groups.not_in_map['r4']
+
+
+def test_a_point_at_a_robot_that_step_0_has_moved_reveals_no_rotation_of_everything():
+    robots = [
+        'r1', RobotSettings('r2', 2, start_pose=(0.6, 5.5, 0.1), start_sigma=(0.5, 0.5, 0.1)),
+        'r3']
+    points = [(0, (3.0, 2.0)), (1, (3.0, -2.0)), (2, (4.0, 0.0)), (3, (2.0, 3.0))]
+    estimator, _ = estimate([
+        *(odometry(name, ms, (0.0, 0.0, 0.0)) for ms in (0, 100) for name in TEAM),
+        scan('r1', 100, points), scan('r2', 100, [(k, (x, y - 5.0)) for k, (x, y) in points]),
+        robot_scan('r3', 100, [('r2', (-4.0, 2.0))])], robots)
+    state = estimator.groups.team.state
+    (point,), r2 = state.rendezvous_points.values(), state.robots['r2']
+
+    # The error of the point by that of r2, on which alone it depends.
+    P = state.marginal([r2, point])
+    F = P[3:, :3] @ np.linalg.inv(P[:3, :3])
+
+    assert np.hypot(*(state.estimate(r2) - state.first_estimate(r2))[:2]) > 0.3
+    moved = rigid_motions(state, state.x_first)[:, 2]
+    assert_allclose(F @ moved[r2.slot.indices], moved[point.slot.indices], atol=1e-9)
