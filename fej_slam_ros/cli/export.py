@@ -19,7 +19,7 @@ from fej_slam_ros.cli.arguments import add_bag_and_parameters
 from fej_slam_ros.cli.bag_input import matches_in, team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan
+from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.datasets import csv_tables
 from fej_slam_ros.datasets.g2o import conversion, files
@@ -118,17 +118,38 @@ def _export_tables(
     """Write odometry, observations, pose priors and ground truth as tables."""
     messages = team_messages(bag, settings.estimation, names)
     collector = collect(messages, settings, needs_ids=False)
-    records = [record for record, _ in collector.records if not _is_before_time_0(record)]
+    left_out: Counter[str] = Counter()
+    records = [*_with_odometry(
+        [record for record, _ in collector.records if not _is_before_time_0(record)], left_out)]
     if not any(isinstance(record, Odometry) for record in records):
         raise UserError(NO_ODOMETRY)
     tables = csv_tables.tables(records)
     report = [
         *(f'{name}: {len(rows) - 1} rows' for name, rows in tables.items()),
-        *_rejected(collector.statistics)]
+        *_rejected(collector.statistics),
+        *(f'{robot}: without odometry, not exported: {n}' for robot, n in left_out.items())]
     return Exported(
         report, [robot.name for robot in csv_tables.settings(records).robots],
         {folder / name: csv_bytes(rows) for name, rows in tables.items()},
         [folder / name for name in csv_tables.COLUMNS if name not in tables])
+
+
+def _with_odometry(
+    records: Sequence[Record], left_out: Counter[str]
+) -> Iterator[Record]:
+    """Yield records without those by and observations of robots that have none; count these."""
+    robots = {record.robot for record in records if isinstance(record, Odometry)}
+    for record in records:
+        if isinstance(record, TrueLandmarks):
+            yield record
+        elif record.robot not in robots:
+            left_out[record.robot] += 1
+        elif isinstance(record, RobotScan):
+            left_out.update(s.observed for s in record.observations if s.observed not in robots)
+            yield replace(record, observations=tuple(
+                s for s in record.observations if s.observed in robots))
+        else:
+            yield record
 
 
 def _is_before_time_0(record: Record) -> bool:

@@ -141,6 +141,8 @@ def _explained(error: UserError | OSError | ModuleNotFoundError) -> tuple[str, i
         return f'the Python module {error.name} is missing: {cure}', 1
     if error.errno == errno.ENAMETOOLONG:
         return f'{error.filename} has a name that is too long: give a shorter path', 2
+    if isinstance(error, PermissionError) and error.filename:
+        return f'{error.filename} cannot be read: change its permissions', 1
     # Every other file is written by functions that name it.
     if error.errno not in DISK_ERRORS:
         raise error

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 import csv
 from decimal import Decimal, DecimalException
 from itertools import groupby
+import math
 from operator import attrgetter
 from pathlib import Path
 from typing import TypeVar
@@ -50,7 +51,7 @@ COLUMNS = {
 }
 
 #: Share of rows that step back in time above which they are not in the order of recording.
-MAX_SHARE_BACK = 0.01
+MAX_SHARE_BACK = 0.05
 #: Robot and stamp [ns].
 Event = tuple[str, int]
 RowT = TypeVar('RowT')
@@ -103,8 +104,17 @@ def read(folder: Path) -> list[Record]:
     _require_odometry(folder, records)
     records += _rows(folder / 'ground_truth.csv', _true_pose)
     records.sort(key=attrgetter('stamp'))
-    landmarks = dict(_rows(folder / 'ground_truth_landmarks.csv', _true_landmark))
+    landmarks = _true_landmarks(folder / 'ground_truth_landmarks.csv')
     return [*([TrueLandmarks(landmarks, records[0].stamp)] if landmarks else []), *records]
+
+
+def _true_landmarks(path: Path) -> dict[int, Array]:
+    """Return the true positions (2,) of landmarks by ID."""
+    landmarks: dict[int, Array] = {}
+    for id_, point in _rows(path, _true_landmark):
+        if not np.array_equal(landmarks.setdefault(id_, point), point):
+            raise UserError(f'{path} has several positions of landmark {id_}: keep one')
+    return landmarks
 
 
 def settings(records: Iterable[Record]) -> Settings:
@@ -174,7 +184,7 @@ def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
                 f'{folder / "odometry.csv"}: all {len(recorded)} rows of {robot} have the same'
                 ' time: export it with all its digits, or as stamp_ns')
         of_robot = np.array(recorded)
-        if len(steps_back(of_robot)) > MAX_SHARE_BACK * len(of_robot):
+        if len(steps_back(of_robot)) > max(MAX_SHARE_BACK * len(of_robot), 1):
             continue
         rows = breaks(of_robot)
         if rows:
@@ -200,8 +210,10 @@ def _upper(P: Array | None, size: int) -> list[object]:
 
 def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
     """Yield the rows of a table; a missing file has none."""
-    if not path.is_file():
+    if not path.exists() and not path.is_symlink():
         return
+    if not path.is_file() or not path.stat().st_size:
+        raise UserError(f'{path} is no file, or empty: write a table with headings, or remove it')
     with path.open(encoding='utf-8-sig', errors='replace', newline='') as file:
         reader = csv.DictReader(file)
         try:
@@ -209,6 +221,9 @@ def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
                 if count > 1 and name.isidentifier():
                     raise ValueError(f'it has the column {name!r} twice')
             for cells in reader:
+                if any(cells.pop(None, ())):
+                    raise ValueError(
+                        'it has more cells than the first line; decimals are written with a point')
                 yield parse(cells)
         except KeyError as column:
             raise UserError(
@@ -287,7 +302,10 @@ def _true_landmark(cells: Cells) -> tuple[int, Array]:
 def _point(cells: Cells) -> tuple[Array, Array]:
     """Return an observed position and covariance, zeros if unknown, as in scans."""
     if 'range' in cells:
-        return polar(*finite_numbers(cells, POLAR))
+        distance, bearing, *sigmas = finite_numbers(cells, POLAR)
+        if abs(bearing) > 2.0 * math.pi:
+            raise ValueError(f'bearing is {bearing:g} rad, more than a turn: is it in degrees?')
+        return polar(distance, bearing, *sigmas)
     z = np.array(finite_numbers(cells, POINT[:2]))
     if not _has(cells, POINT[2:]):
         return z, np.zeros((2, 2))

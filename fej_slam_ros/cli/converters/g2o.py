@@ -26,9 +26,9 @@ SUMMARY = 'a graph file of g2o, TORO, iSAM or GTSAM'
 def add_arguments(parser: ArgumentParser) -> None:
     add_paths(parser, metavar='FILE', source='the graph, a text file')
     parser.add_argument(
-        '--period', metavar='SECONDS', type=number_option('--period', 1e-3, 1e3), default=0.1,
-        help='time between two poses of a robot, which graphs do not have'
-        ' (default: %(default)s s)')
+        '--period', metavar='SECONDS', type=number_option('--period', 1e-3, 1e3),
+        help='time between two poses of a robot, which graphs do not have (default: 0.1 s, or'
+        ' longer where a robot could not move so far in that)')
     parser.add_argument(
         '--noise', choices=files.NOISES, default='covariance',
         help='what the numbers behind a measurement of ODOMETRY and LANDMARK are; GTSAM reads them'
@@ -39,7 +39,8 @@ def convert(arguments: Namespace) -> None:
     """Write the bag and print the number of its records."""
     graph, unused = files.read(arguments.input, arguments.noise)
     try:
-        team = conversion.trajectories(graph, round(arguments.period * NS))
+        period = arguments.period or conversion.shortest_period(graph)
+        team = conversion.trajectories(graph, round(period * NS))
     except UserError as error:
         # Of what is no graph, such as a picture, each line begins with another word.
         others = ', '.join(sorted(name for name in unused if name.isprintable())[:6])
@@ -48,14 +49,19 @@ def convert(arguments: Namespace) -> None:
         ) from None
     records = conversion.records(graph, team, unused)
     write(
-        records, conversion.settings(graph, team), arguments, _report(graph, team, unused))
+        records, conversion.settings(graph, team), arguments,
+        _report(graph, team, period, unused))
 
 
-def _report(graph: Graph, team: conversion.Trajectories, unused: Counter[str]) -> Iterator[str]:
+def _report(
+    graph: Graph, team: conversion.Trajectories, period: float, unused: Counter[str]
+) -> Iterator[str]:
     landmarks = {edge.end for edge in graph.observations}
     observations = Counter(
         team.names[edge.begin].robot for edge in graph.observations if edge.begin in team.names)
     yield f'robots: {len(team.poses)}, landmarks: {len(landmarks)}'
+    if not graph.names and period != conversion.MIN_PERIOD:
+        yield f'time between two poses: {period:g} s'
     for robot, poses in team.poses.items():
         yield f'{robot}: poses: {len(poses)}, observations: {observations[robot]}'
     yield from (f'not used: {reason}: {count}' for reason, count in unused.items() if count)

@@ -31,8 +31,8 @@ class ClockPart:
             tuple(stamp + shift for stamp in self.clock_changes))
 
     def divided(self, row: int) -> tuple['ClockPart', 'ClockPart']:
-        """Return the rows before the command at a row, and from it on."""
-        begin = self.commands.stamps[row]
+        """Return the rows before and after the middle of the gap before the command at a row."""
+        begin = self.commands.stamps[[row - 1, row]].mean()
         is_later = self.observations.stamps >= begin
         return (
             ClockPart(

@@ -17,7 +17,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Stamps
 from fej_slam_ros.core.ordering.backward_stamps import (
-    breaks, period, recorded_order, steps_back)
+    breaks, MAX_DISORDER, period, recorded_order, steps_back)
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence, MAX_ERROR_RATIO
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP, positions
@@ -154,7 +154,8 @@ def _without_step_forward(
 ) -> ClockPart:
     """Return the rows on the clock before or after the gap at a row, if it was set forward."""
     end, begin = part.commands.stamps[[row - 1, row]].tolist()
-    if len(part.observations.between(end + 1, begin - 1)):
+    # Observations are stamped apart from commands.
+    if len(part.observations.between(end + MAX_DISORDER, begin - MAX_DISORDER)):
         return part
     earlier, later = part.divided(row)
     shift = _shift(earlier.commands, later.commands)

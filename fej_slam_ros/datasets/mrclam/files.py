@@ -82,9 +82,12 @@ def read(folder: Path) -> MrclamSet:
         for robot in ROBOT_SUBJECTS])
     complete = {log.robot: log for log in logs if len(log.commands) > 1}
     if not complete:
+        unread = ''.join(
+            f'; {log.counts["broken row"]} rows of robot {log.robot} are no such numbers'
+            for log in logs[:1] if log.counts['broken row'])
         raise UserError(
             f'{folder} holds no odometry of any robot: put Robot1_Odometry.dat and so on there,'
-            ' with rows of time [s], v [m/s], w [rad/s]')
+            f' with rows of time [s], v [m/s], w [rad/s], separated by spaces{unread}')
     incomplete = {log.robot: _unused(log) for log in logs if log.robot not in complete}
     return MrclamSet(complete, *_landmarks(folder, broken), incomplete, broken)
 
@@ -121,6 +124,12 @@ def _landmarks(folder: Path, broken: Counter[str]) -> tuple[dict[int, Array], st
     """Return true positions and the name of their file; the corrected file is preferred."""
     for name in ('Landmark_Groundtruth_fixed.dat', 'Landmark_Groundtruth.dat'):
         rows = _table(folder / name, 3, broken, max_columns=5)
+        rows = np.unique(rows, axis=0)
+        subjects, counts = np.unique(rows[:, 0], return_counts=True)
+        if len(subjects) < len(rows):
+            raise UserError(
+                f'{folder / name} gives subject {subjects[counts.argmax()]:g} several positions:'
+                ' keep one')
         if len(rows):
             return {int(row[0]): row[1:3] for row in rows}, name
     return {}, ''

@@ -28,7 +28,7 @@ SLIP_MARGIN = NS // 4
 MAX_SLIP_TIME = 10 * NS
 #: Largest share of true poses near slips; where there are more, units or the robot are wrong, and
 #: the rest of them fits by chance.
-MAX_SLIPPED = 0.9
+MAX_SLIPPED = 0.7
 UNUSABLE_TRUTH = 'truth that jumps nearly everywhere (is it of this robot, in metres and radians?)'
 
 

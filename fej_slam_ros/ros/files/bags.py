@@ -179,8 +179,14 @@ class BagWriter:
 
     def _refuse_existing(self) -> None:
         refuse_existing([self._path], self._force)
-        if self._path.exists() and not (self._path / 'metadata.yaml').is_file():
-            raise UsageError(f'{self._path} exists and is not a rosbag2: choose another path')
+        if self._path.exists():
+            if not (self._path / 'metadata.yaml').is_file():
+                raise UsageError(f'{self._path} exists and is not a rosbag2: choose another path')
+            others = [file for file in sorted(self._path.iterdir()) if not _is_of_bag(file)]
+            if others:
+                raise UsageError(
+                    f'{others[0]} is in the folder that would be replaced: move it, or choose'
+                    ' another path')
 
     def write(self, topic: str, logged: int, message: Message) -> None:
         """Append a message, logged at a time [ns]."""
@@ -201,6 +207,12 @@ class BagWriter:
         return self._writer.add_connection(
             f'/{topic}', type_name, msgdef=text, rihs01=rihs01,
             offered_qos_profiles=[_qos(latched)])
+
+
+def _is_of_bag(file: Path) -> bool:
+    """Return whether a file in the folder of a bag is one that bags consist of."""
+    return file.is_file() and (
+        file.name == 'metadata.yaml' or '.mcap' in file.name or '.db3' in file.name)
 
 
 def write(

@@ -13,6 +13,7 @@ import pytest
 from fej_slam_ros.core.records import (
     Observation, Odometry, PosePrior, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.ros import parameters
+from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import is_installed, optional
 from helpers.paths import BAGS
@@ -68,6 +69,25 @@ def test_an_export_converted_back_gives_the_same_estimates(bag, kind, tmp_path):
     assert got.keys() == expected.keys()
     for name, rows in expected.items():
         assert_allclose(got[name], rows, rtol=0.0, atol=ROUNDING)
+
+
+def test_measurements_of_a_robot_that_was_not_recorded_are_counted_and_left_out(tmp_path, capsys):
+    path = tmp_path / 'bag'
+    write_bag(path, (m for m in bags.read(SHIPPED['rendezvous']) if m.topic != 'q/odom'))
+    Path(f'{path}.yaml').write_text(Path(f"{SHIPPED['rendezvous']}.yaml").read_text())
+    expected = estimates(path, f'{path}.yaml', tmp_path / 'expected')
+    capsys.readouterr()
+
+    status, output = exported('csv', path, tmp_path)
+
+    assert status == 0
+    assert 'q: without odometry, not exported: ' in capsys.readouterr().out
+    assert run_verb('convert', 'csv', '--input', output, '--output', tmp_path / 'back') == 0
+    got = estimates(tmp_path / 'back', f'{output}.yaml', tmp_path / 'got')
+    assert {name for name, rows in got.items() if len(rows)} == {
+        name for name, rows in expected.items() if len(rows)}
+    assert_allclose(
+        got['trajectory_p.csv'], expected['trajectory_p.csv'], rtol=0.0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize('name', [*SHIPPED, 'without_ids'])

@@ -48,6 +48,8 @@ def raising(error):
         (UserError('The bag is empty.'), 1, 'replay: The bag is empty.\n'),
         (UsageError('The rate is negative.'), 2, 'replay: The rate is negative.\n'),
         (KeyboardInterrupt(), 130, ''),
+        (PermissionError(13, 'Permission denied', 'in/landmarks.csv'), 1,
+         'replay: in/landmarks.csv cannot be read: change its permissions\n'),
     ],
 )
 def test_a_user_error_is_one_sentence_and_a_status(run, capsys, error, status, sentence):

@@ -95,6 +95,46 @@ def test_odometry_that_passes_a_time_twice_is_refused_with_the_place(tmp_path):
         csv_tables.read(table)
 
 
+def test_a_clock_set_back_is_refused_in_a_short_log_too(tmp_path):
+    table = odometry_table(tmp_path, [*range(0, 4500, 100), *range(2500, 7000, 100)])
+
+    with pytest.raises(UserError, match=r'of a goes back by 1.900 s at stamp_ns 2500000000'):
+        csv_tables.read(table)
+
+
+@pytest.mark.parametrize(('name', 'text', 'fault'), [
+    ('odometry', 'robot,stamp_ns,x,y,yaw\na,5,0,076,-0,003,0\n',
+     'odometry.csv: correct line 2: it has more cells than the first line; decimals'),
+    ('landmarks', 'robot,stamp_ns,id,range,bearing,sigma_range,sigma_bearing\na,5,1,2,40,.1,.2\n',
+     'landmarks.csv: correct line 2: bearing is 40 rad, more than a turn: is it in degrees?'),
+    ('landmarks', '', 'landmarks.csv is no file, or empty'),
+    ('ground_truth_landmarks', 'id,x,y\n5,1,2\n6,1,3\n5,30,2\n',
+     'ground_truth_landmarks.csv has several positions of landmark 5: keep one'),
+], ids=['decimal commas', 'degrees', 'empty', 'two positions'])
+def test_a_table_that_would_be_misread_is_refused(tmp_path, name, text, fault):
+    folder = write(tmp_path, **{'odometry': ODOMETRY, name: text})
+
+    with pytest.raises(UserError) as caught:
+        csv_tables.read(folder)
+
+    assert fault in str(caught.value)
+
+
+def test_a_name_of_a_table_that_is_no_file_is_not_taken_for_a_missing_one(tmp_path):
+    folder = write(tmp_path, odometry=ODOMETRY)
+    (folder / 'landmarks.csv').symlink_to('nowhere')
+
+    with pytest.raises(UserError, match=r'landmarks\.csv is no file'):
+        csv_tables.read(folder)
+
+
+def test_cells_that_are_empty_may_follow_the_columns(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry='robot,stamp_ns,x,y,yaw\na,5,1,2,3,,\n'))
+
+    assert records[0].pose.tolist() == [1.0, 2.0, 3.0]
+
+
 @pytest.mark.parametrize('rows', [
     pytest.param([*range(6000, 9000, 20), *range(0, 6000, 20)], id='parts in the wrong order'),
     pytest.param(

@@ -56,6 +56,20 @@ def test_the_period_of_the_poses_is_an_option(convert, tmp_path):
     assert [b - a for a, b in pairwise(received)] == 3 * [2_500_000_000]
 
 
+def test_long_edges_and_turns_of_a_graph_are_possible_motions(convert, tmp_path):
+    edge = 'EDGE_SE2 {} {} {} 0 {} 100 0 0 100 0 1000'
+    steps = [(12, 0), (0, 3.1), (12, 0), (0, 0), (12, -3.1)]
+
+    _, said, _ = convert([
+        *(edge.format(k, k + 1, *step) for k, step in enumerate(steps)),
+        SIGHT.format(0, 10, 3, 1), SIGHT.format(5, 10, -9, 1)])
+
+    assert 'time between two poses: 0.4 s' in said
+    estimator = run_bag(tmp_path / 'bag').estimator
+    assert not estimator.statistics.rejection_counts['r1']
+    assert estimator.steps['r1'] == 6
+
+
 @pytest.mark.parametrize(('lines', 'options', 'status', 'parts'), [
     (['VERTEX_SE3:QUAT 0 0', 'EDGE_SE3:QUAT 0 1 2'], (), 1, [
         'graph.txt: it has no odometry: relative poses in the plane are needed',

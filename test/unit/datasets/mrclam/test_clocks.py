@@ -143,6 +143,31 @@ def test_a_clock_that_was_set_forward_goes_on_as_true_poses_tell(forward, right)
     assert abs(float(shifted.split()[3])) == pytest.approx(forward, abs=PERIOD)
 
 
+@pytest.mark.parametrize('edge', [0.007, -0.013])
+def test_observations_at_the_edges_of_the_gap_of_a_clock_set_forward_go_with_the_nearer_commands(
+        edge):
+    commands, seen, truth = drive(4)
+    # Of a clock apart: the first one after the step is before its command, the last one after its.
+    nearest = int(np.abs(seen.stamps - at(60)).argmin())
+    stamps = seen.stamps.copy()
+    stamps[nearest] = at(60) - round(edge * S)
+    seen = Series(stamps, seen.rows)
+    boundary = at(60) - (PERIOD * S / 2 if edge > 0.0 else 0)
+    later = seen.stamps >= boundary if edge > 0.0 else seen.stamps > stamps[nearest]
+    forward = 25 * S
+    stepped = [
+        joined([commands[commands.stamps < at(60)], commands[commands.stamps >= at(60)].shifted(
+            forward)]),
+        joined([seen[~later], seen[later].shifted(forward)])]
+
+    found, result, counts = ordered(*stepped, truth)
+
+    np.testing.assert_array_equal(found.rows, commands.rows)
+    assert np.abs(result.stamps - seen.stamps).max() <= PERIOD * S
+    (shifted,) = counts
+    assert abs(float(shifted.split()[3])) == pytest.approx(25.0, abs=PERIOD)
+
+
 @pytest.mark.parametrize('known', [True, False])
 def test_a_gap_in_a_log_is_no_clock_that_was_set_forward(known):
     *series, truth = drive(4)

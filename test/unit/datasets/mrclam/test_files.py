@@ -166,6 +166,16 @@ def test_true_headings_in_degrees_are_not_used(read_set):
     assert 'in metres and radians?' in reason
 
 
+def test_a_subject_with_several_positions_is_refused(read_set):
+    with pytest.raises(UserError, match=r'Landmark_Groundtruth\.dat gives subject 6 several'):
+        read_set(Landmark_Groundtruth=[(6, 1.0, 2.0, 0.1, 0.1), (6, 99.0, 99.0, 0.1, 0.1)])
+
+
+def test_odometry_in_another_format_is_not_called_missing(read_set):
+    with pytest.raises(UserError, match='; 2 rows of robot 1 are no such numbers'):
+        read_set(Robot1_Odometry=[('100,5', '0,1', '0,0'), ('101,5', '0,1', '0,0')])
+
+
 def noisy_truth(sigma):
     """Return true poses of a robot at 10 cm/s, twenty a second, with noise."""
     rng = np.random.default_rng(1)

@@ -216,6 +216,19 @@ def test_a_bag_is_replaced_only_with_force(path):
     assert names(path.parent) == ['bag']
 
 
+@pytest.mark.parametrize('make', [
+    lambda path: path.write_text('precious'), lambda path: path.mkdir()], ids=['file', 'folder'])
+def test_a_bag_in_a_folder_with_something_else_is_never_replaced(path, make):
+    bags.write(path, RECORDS)
+    make(path / 'notes')
+
+    with pytest.raises(UsageError, match='notes is in the folder that would be replaced'):
+        bags.write(path, RECORDS[:1], force=True)
+
+    assert names(path) == ['bag.mcap', 'metadata.yaml', 'notes']
+    assert len(list(bags.read(path))) == len(RECORDS)
+
+
 @each_storage
 @pytest.mark.parametrize('error', [ZeroDivisionError, KeyboardInterrupt])
 def test_an_interrupted_bag_leaves_nothing_behind(path, storage, error):
