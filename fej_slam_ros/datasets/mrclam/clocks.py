@@ -159,9 +159,8 @@ def _without_step_forward(
         return part
     earlier, later = part.divided(row)
     shift = _shift(earlier.commands, later.commands)
-    drives = [
-        part, earlier.with_rows_of(later.shifted(shift)),
-        earlier.shifted(-shift).with_rows_of(later)]
+    drives = [part, earlier.with_rows_of(later.shifted(shift)),
+              earlier.shifted(-shift).with_rows_of(later)]
     errors = evidence.errors(drives)
     if errors is None or min(errors) >= MAX_ERROR_RATIO * errors[0]:
         return part
