@@ -239,7 +239,7 @@ class FrameGroups:
 
     def _begin_own_frame(self, robot: str, stamp: int) -> None:
         """Start a robot in a frame whose origin is its present pose."""
-        *older, = [group for group in self.others if group.owner == robot]
+        older = [group for group in self.others if group.owner == robot]
         for group in older[:-1]:
             self._drop(group)
         # The map of its previous frame may still join.
