@@ -67,7 +67,7 @@ class ConsecutiveRejections:
         Scans that are large enough to check a pose are left to the detection of lost robots.
 
         """
-        for association in innovation.used:
+        for association in innovation.used if self._rows else ():
             for robot, other in pairs(association):
                 if not self._has_started(robot, other):
                     self.forget(robot.name)

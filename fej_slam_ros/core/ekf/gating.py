@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gate: acceptance test of each observation by its innovation."""
 
-from collections import defaultdict
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import repeat
@@ -152,14 +151,17 @@ def scan_gate_statistics(
 
     """
     statistics: dict[str, ScanGateStatistics] = {}
-    of_landmarks: defaultdict[tuple[str, Landmark], list[tuple[bool, bool]]] = defaultdict(list)
+    # Numbers of observations, of those that contradict the estimate, and that failed the gate.
+    tallies: dict[tuple[str, Landmark], tuple[int, int, int]] = {}
     for a, failed, gated in results:
-        statistics.setdefault(a.observer.name, ScanGateStatistics())
-        if isinstance(a.observed, Landmark):
-            of_landmarks[a.observer.name, a.observed].append((failed, gated))
-    for (robot, landmark), found in of_landmarks.items():
-        failed, gated = (2 * sum(each) > len(found) for each in zip(*found))
-        statistics[robot].add(robot, landmark, failed, gated)
+        robot, observed = a.observer.name, a.observed
+        if robot not in statistics:
+            statistics[robot] = ScanGateStatistics()
+        if isinstance(observed, Landmark):
+            n, n_failed, n_gated = tallies.get((robot, observed), (0, 0, 0))
+            tallies[robot, observed] = n + 1, n_failed + failed, n_gated + gated
+    for (robot, landmark), (n, n_failed, n_gated) in tallies.items():
+        statistics[robot].add(robot, landmark, 2 * n_failed > n, 2 * n_gated > n)
     return statistics
 
 

@@ -73,7 +73,7 @@ def _read(rows: 'csv.DictReader[str]', most: int) -> PriorMap:
     landmarks = []
     for cells in rows:
         frame = cells.get('frame', MAP)
-        if frame is not None and frame != MAP:
+        if frame not in (MAP, None):
             continue
         try:
             if frame is None:
