@@ -10,7 +10,7 @@ from fej_slam_ros.tables import number, text_table
 
 RUN_HEADINGS = (
     'robot', 'frame', 'steps', 'RMSE [m]', 'RMSE [rad]', 'NEES/3', 'messages', 'used',
-    'messages rejected')
+    'rejected')
 #: NEES/3 that all robots exceed, and NIS per degree of freedom that none does, where the ground
 #: truth is in another frame. An overconfident filter has up to 60 and 1.
 OTHER_FRAME_NEES, CONSISTENT_NIS = 100.0, 2.0

@@ -165,6 +165,8 @@ class _Encoder:
     def plain(self, value: Any) -> Plain:
         if type(value) in PLAIN:
             return value
+        if isinstance(value, np.generic):
+            return value.item()
         if isinstance(value, list):
             return self._each(value)
         if isinstance(value, Enum):

@@ -72,7 +72,8 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
             odometry[robot.name], heading = _with_heading_error(motions, given_odometry(robot))
             if heading is not None:
                 headings[robot.name] = heading
-    team = team_records(with_corrected_headings(records, headings), settings)
+    if headings:
+        team = team_records(with_corrected_headings(records, headings), settings)
     landmarks = team.truth.landmarks if settings.shared_landmark_ids else {}
     observations = {}
     for robot in settings.robots:

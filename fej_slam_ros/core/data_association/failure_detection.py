@@ -11,13 +11,12 @@ from collections.abc import Container
 from dataclasses import dataclass, replace
 
 from fej_slam_ros.core.ekf.consecutive_rejections import ConsecutiveRejections
-from fej_slam_ros.core.ekf.gating import MIN_KNOWN, ScanGateStatistics, StatisticsByRobot
+from fej_slam_ros.core.ekf.gating import (
+    MIN_CONTRADICTIONS, MIN_KNOWN, ScanGateStatistics, StatisticsByRobot)
 
 #: Number of consecutive scans that mostly failed after which a robot counts as lost.
 LOST_AFTER = 3
-#: Number of observations in such scans that must contradict the map before the robot restarts,
-#: and of scans that are kept. Small scans also fail where an overconfident robot closes a loop.
-MIN_CONTRADICTIONS = 9
+#: Number of such scans that are kept.
 MAX_FAILED_SCANS = 9
 
 #: Largest count of scans that mostly failed the gate without a contradiction, twice, less those

@@ -16,15 +16,13 @@ import numpy as np
 
 from fej_slam_ros.core.ekf.filter import Innovation
 from fej_slam_ros.core.ekf.gating import (
-    Association, CONTRADICTION_D2, MIN_KNOWN, StatisticsByRobot)
+    Association, CONTRADICTION_D2, MIN_CONTRADICTIONS, MIN_KNOWN, StatisticsByRobot)
 from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.records import LandmarkKey
 
 #: Minimum number of observations, and of landmarks and robots to which they relate a robot, that
 #: show that its pose is a few standard deviations off.
 MIN_REJECTIONS, MIN_OTHERS = 3, 2
-#: The same that show that it is lost, whatever the distances.
-MIN_OF_LOST, MIN_OTHERS_OF_LOST = 9, MIN_KNOWN
 #: Expected squared distance of an observation.
 EXPECTED_D2 = 2.0
 
@@ -34,12 +32,12 @@ class RejectedInARow:
     """The latest observations by and of a robot, all of which failed the gate."""
 
     begin: int  #: stamp of the first [ns]
-    #: the latest squared distances by the other robot or the landmark, at most `MIN_OF_LOST` each
+    #: the latest squared distances by the other robot or the landmark, at most nine each
     d2: dict[str | LandmarkKey, list[float]] = field(default_factory=dict)
 
     def add(self, other: str | LandmarkKey, d2: float) -> None:
         """Add a further observation."""
-        self.d2[other] = [*self.d2.get(other, []), d2][-MIN_OF_LOST:]
+        self.d2[other] = [*self.d2.get(other, []), d2][-MIN_CONTRADICTIONS:]
 
     def explained(self) -> list[float]:
         """Return the distances if a pose that is a few standard deviations off explains enough."""
@@ -88,7 +86,7 @@ class ConsecutiveRejections:
         row = self._rows.get(robot)
         if row is None:
             return 0
-        is_lost = len(row.d2) >= MIN_OTHERS_OF_LOST and row.count() >= MIN_OF_LOST
+        is_lost = len(row.d2) >= MIN_KNOWN and row.count() >= MIN_CONTRADICTIONS
         return row.count() if is_lost or row.explained() else 0
 
     def forget(self, robot: str) -> None:

@@ -29,6 +29,9 @@ MIN_TRUSTED = 2
 #: closes a loop, whole scans fail.
 CONTRADICTION_PROBABILITY = 1e-9
 CONTRADICTION_D2 = chi_square_limit(2, CONTRADICTION_PROBABILITY)
+#: Number of observations that must contradict the map before a robot restarts. Small scans also
+#: fail where an overconfident robot closes a loop.
+MIN_CONTRADICTIONS = 9
 
 #: Halvings after which an interval of floats is empty but for rounding.
 HALVINGS = 60

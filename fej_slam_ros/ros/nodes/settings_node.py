@@ -26,7 +26,9 @@ class SettingsNode(ManagedNode):
         self._settings = parameters.parse(self.given, self.get_logger().warning)
         robots = self._robot_names()
         known = parameters.known_parameters(robots)
-        self._log_ignored(known.keys() - parameters.known_parameters(robots, self.audience).keys())
+        # Every node counts the peers among its robots.
+        self._log_ignored(
+            known.keys() - {*parameters.known_parameters(robots, self.audience), 'peers'})
         self.redeclare(
             parameters.as_parameters(self._settings), known, self.changeable_parameters())
         if self._lacks_tf():

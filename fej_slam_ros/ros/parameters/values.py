@@ -126,7 +126,8 @@ def robot_names(value: object, parameter: str = 'robots') -> tuple[str, ...]:
     robots: tuple[str, ...] = _checked_value(parameter, ROBOT_NAMES, value)
     if not robots:
         raise UsageError(
-            f'parameter {parameter!r} is missing or empty: list the robots, for example [r1, r2]')
+            f'parameter {parameter!r} is missing or empty: list the robots, for example [r1, r2];'
+            ' of a parameter file, only the sections for this node and /** count')
     if len(robots) > MAX_ROBOTS:
         raise UsageError(
             f'parameter {parameter!r} lists {len(robots)} robots: list at most {MAX_ROBOTS}')

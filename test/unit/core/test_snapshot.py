@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """An estimator or smoother restored from a snapshot continues bit for bit like the original."""
 
-from dataclasses import is_dataclass
+from dataclasses import is_dataclass, replace
 from enum import Enum
 from itertools import pairwise
 from typing import get_args, get_type_hints
@@ -18,6 +18,7 @@ from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ordering.record_memory import FORGOTTEN_TOGETHER, MAX_REMEMBERED
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.rejections import RejectionReason
+from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.core.snapshot import (
     attributes_of, CORE, restore, schema_digest, snapshot, SNAPSHOT_CLASSES)
 from fej_slam_ros.sim.sensors import SensorSettings
@@ -208,6 +209,20 @@ def test_waiting_robot_observations_are_kept():
 
     assert bits(continued(estimator).close()) == bits(whole.close())
     assert whole.steps['r2'] > 50  # of which 20 are odometry and 20 are scans
+
+
+def test_settings_of_numpy_numbers_of_a_robot_that_has_left_are_kept():
+    """The settings of robots are not stored, but those of one that has left are."""
+    robots = RobotSettings('r1', 1), RobotSettings('r2', 2, start_pose=tuple(np.ones(3)))
+    settings = Settings(robots, 'r1')
+    estimator = Estimator(settings)
+    estimator.add(odometry('r2', 1))
+    remaining = replace(settings, robots=robots[:1])
+    estimator.change_team(remaining.robots, remaining)
+
+    restored = restore(snapshot(estimator), remaining, Estimator)
+
+    assert restored.state_hash() == estimator.state_hash()
 
 
 def test_a_snapshot_of_an_estimator_is_none_of_a_smoother():

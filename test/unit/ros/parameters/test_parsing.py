@@ -32,7 +32,8 @@ def test_a_robot_without_noise_of_its_own_has_that_of_the_team():
     [
         (
             {'robots': []},
-            "parameter 'robots' is missing or empty: list the robots, for example [r1, r2]",
+            ("parameter 'robots' is missing or empty: list the robots, for example [r1, r2];"
+             ' of a parameter file, only the sections for this node and /** count'),
         ),
         (
             {'robots': ['r1', 'r1']},
