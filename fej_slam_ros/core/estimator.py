@@ -127,11 +127,6 @@ class Estimator(TeamInput[StepResult]):
                 self.innovations.nis.setdefault(name, NisMonitor())
                 self.groups.not_in_map[name] = 'it sent no usable odometry'
 
-    def resume(self) -> None:
-        """Continue from a checkpoint; input from before it may be sent again."""
-        super().resume()
-        self.truth.resume()
-
     def pose(self, robot: str) -> PoseEstimate:
         """Return the pose of a robot after its last step."""
         group = self.groups.of(robot)

@@ -48,8 +48,9 @@ class RecordedTruth:
         self._poses: dict[str, list[tuple[int, Array]]] = defaultdict(list)
         self.landmarks: dict[int, Array] = {}
         self._rendezvous_points: dict[RendezvousKey, Array] = {}
-        # Stamp of each robot's oldest true pose when the run was resumed [ns].
-        self._resumed_at: dict[str, int] = {}
+        # Stamp of each robot's newest true pose that was dropped [ns]. Older ones are not added
+        # again, as when they are sent again to a run that continues from a checkpoint.
+        self._dropped: dict[str, int] = {}
 
     def add(self, record: TruePose | TrueLandmarks) -> RejectionReason | None:
         """Add a record; return the reason if it is rejected: another pose at the same stamp."""
@@ -61,13 +62,9 @@ class RecordedTruth:
         if index < len(poses) and poses[index][0] == record.stamp:
             is_equal = np.array_equal(poses[index][1], record.pose)
             return None if is_equal else RejectionReason.CONFLICTING
-        if record.stamp >= self._resumed_at.get(record.robot, record.stamp):
+        if record.stamp > self._dropped.get(record.robot, record.stamp - 1):
             poses.insert(index, (record.stamp, record.pose))
         return None
-
-    def resume(self) -> None:
-        """Continue from a checkpoint; true poses from before it may be sent again."""
-        self._resumed_at = {robot: poses[0][0] for robot, poses in self._poses.items() if poses}
 
     def robots(self) -> list[str]:
         """Return the robots that have true poses."""
@@ -75,10 +72,7 @@ class RecordedTruth:
 
     def take_surplus(self, robot: str) -> list[int]:
         """Drop a robot's oldest true poses beyond MAX_TRUE_POSES; return their stamps [ns]."""
-        poses = self._poses[robot]
-        count = max(len(poses) - MAX_TRUE_POSES, 0)
-        surplus, poses[:count] = poses[:count], []
-        return [stamp for stamp, _ in surplus]
+        return self._drop(robot, len(self._poses[robot]) - MAX_TRUE_POSES)
 
     def covers(self, robot: str, stamp: int) -> bool:
         """Return whether a robot's true pose at a stamp is recorded or can be interpolated."""
@@ -178,9 +172,16 @@ class RecordedTruth:
 
     def forget_before(self, robot: str, stamp: int) -> None:
         """Drop all true poses before the latest one at or before a stamp."""
+        self._drop(robot, bisect_left(self._poses[robot], (stamp + 1,)) - 1)
+
+    def _drop(self, robot: str, count: int) -> list[int]:
+        """Drop a number of a robot's oldest true poses, if above 0; return their stamps [ns]."""
         poses = self._poses[robot]
-        first_after = bisect_left(poses, (stamp + 1,))
-        del poses[: max(first_after - 1, 0)]
+        stamps = [stamp for stamp, _ in poses[:max(count, 0)]]
+        if stamps:
+            del poses[:count]
+            self._dropped[robot] = max(stamps[-1], self._dropped.get(robot, stamps[-1]))
+        return stamps
 
 
 class LocalTruth:

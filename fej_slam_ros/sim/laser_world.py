@@ -47,7 +47,7 @@ class LaserWorldSettings:
     landmarks: int = 15  #: Number of random posts
     post_radius: tuple[float, float] = (0.05, 0.2)  #: Smallest and largest radius of a random post
     posts: tuple[float, ...] = ()  #: x, y and radius of each post
-    inner_walls: int = 2  #: Number of random walls in the room
+    inner_walls: int = 2  #: Largest number of random walls in the room
     walls: tuple[float, ...] = ()  #: x, y of the begin and x, y of the end of each wall
     people: int = 2  #: Number of people, who walk between random places
     loops: int = 2  #: Number of loops that each robot drives

@@ -44,6 +44,8 @@ POSITION_SIGMA, MAX_POSITION = (0.1, 0.02), 0.5
 DELAY_SIGMA, MAX_DELAY = 0.2, MAX_STAMP_ERROR
 #: Smallest error of a coordinate of the position [m], and smallest delay [s], that is reported.
 MIN_POSITION, MIN_DELAY = 0.1, 0.05
+#: The smallest errors of all values that are reported.
+SMALLEST = np.append(LIMITS.min_error, [MIN_POSITION, MIN_POSITION, MIN_DELAY])
 #: Error of the turn scale from which on delays are not told from it.
 MAX_TURN_ERROR = 0.15
 #: Places of the position and the delay among the values that are fitted.
@@ -145,7 +147,11 @@ def _by_instruments(
     # The derivative of w r is w (I - r r' / cost) J.
     J = J - r[:, :, None] * (np.einsum('nj,njk->nk', r, J) / cost[:, None])[:, None]
     weights = np.abs(Zw * J).reshape(gradients.shape)
-    return ErrorFit(x, np.einsum('nji,njk->ik', Zw, J) + prior, gradients, weights, 1.0)
+    # A fit that goes to and fro shows nothing.
+    is_found = np.all(np.abs(x - before) < SMALLEST)
+    return ErrorFit(
+        x, np.einsum('nji,njk->ik', Zw, J) + prior, gradients, weights,
+        1.0 if is_found else np.inf)
 
 
 def _differences(pairs: ObservationPairs, values: Array) -> Array:

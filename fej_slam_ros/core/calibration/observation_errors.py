@@ -80,7 +80,7 @@ def fit_observations(
     scans : those of the robot, of landmarks and of robots
     landmarks : recorded true positions (2,), by ID
     near : true poses by robot
-    heading_sigma : standard error of the correction of the true headings [rad]
+    heading_sigma : standard error of the true headings [rad], infinite if unknown
     given : (2,) array, errors where the data do not determine them
 
     """

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.geometry import Array, poses_at, Stamps, wrap_all
+from fej_slam_ros.core.geometry import Array, Stamps
 from fej_slam_ros.core.records import NS, Odometry
 
 
@@ -17,7 +17,9 @@ class OdometryTrajectory:
     """Odometry of one robot."""
 
     stamps: Stamps  #: (k,) array, ascending [ns]
-    poses: Array  #: (k, 3) array
+    #: (k, 3) array, with headings that are not wrapped, as robots turn by more than half a turn
+    #: between two observations
+    poses: Array
 
     @classmethod
     def of(cls, odometry: Sequence[Odometry]) -> 'OdometryTrajectory':
@@ -25,15 +27,22 @@ class OdometryTrajectory:
         stamps = np.array([record.stamp for record in odometry], np.int64)
         poses = np.array([record.pose for record in odometry]).reshape(-1, 3)
         stamps, first = np.unique(stamps, return_index=True)
-        return cls(stamps, poses[first])
+        poses = poses[first]
+        poses[:, 2] = np.unwrap(poses[:, 2])
+        return cls(stamps, poses)
 
     def at(self, stamps: Stamps) -> Array:
         """Return the poses (n, 3) at stamps (n,) [ns] by interpolation."""
-        return poses_at(stamps, self.stamps, self.poses)
+        # Floats do not resolve nanoseconds since 1970.
+        start = self.stamps[0]
+        return np.column_stack([
+            np.interp(stamps - start, self.stamps - start, column) for column in self.poses.T])
 
     def motions(self, begins: Stamps, ends: Stamps) -> Array:
         """Return poses (n, 3) at stamps `ends` in the frames of those at `begins` (n,) [ns]."""
-        return models.h_pose(self.at(begins), self.at(ends))
+        before, after = self.at(begins), self.at(ends)
+        return np.column_stack([
+            models.h(before, after[:, :2]), after[:, 2] - before[:, 2]])
 
     def without_errors(self, values: Array) -> 'OdometryTrajectory':
         """Return the trajectory without errors (3,), from the same first position on."""
@@ -46,4 +55,4 @@ class OdometryTrajectory:
             start + distance * np.append(0.0, np.cumsum(steps)) for start, steps in (
                 (self.poses[0, 0], c * ahead - s * left),
                 (self.poses[0, 1], s * ahead + c * left)))
-        return replace(self, poses=np.column_stack([x, y, wrap_all(headings)]))
+        return replace(self, poses=np.column_stack([x, y, headings]))

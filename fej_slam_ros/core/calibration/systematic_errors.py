@@ -4,13 +4,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+import math
 
 import numpy as np
 
 from fej_slam_ros.core.calibration.errors_by_landmarks import fit_to_landmarks
 from fej_slam_ros.core.calibration.observation_errors import fit_observations, given_observations
 from fej_slam_ros.core.calibration.odometry_errors import fit_to_truth, given_odometry
-from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_SIGMAS
+from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_SIGMAS, suffice
 from fej_slam_ros.core.calibration.team_records import team_records
 from fej_slam_ros.core.calibration.true_motions import true_motions, TrueMotions
 from fej_slam_ros.core.geometry import Array
@@ -65,13 +66,16 @@ class SystematicErrors:
 def errors_by_truth(records: Sequence[Received], settings: Settings) -> SystematicErrors:
     """Return the errors that ground truth shows."""
     team = team_records(records, settings)
-    odometry, headings = {}, {}
+    odometry, headings, heading_sigmas = {}, {}, {}
     for robot in settings.robots:
         motions = true_motions(team.odometry[robot.name], team.truth)
         if motions is not None:
-            odometry[robot.name], heading = _with_heading_error(motions, given_odometry(robot))
-            if heading is not None:
-                headings[robot.name] = heading
+            errors, heading, sigma = _with_heading_error(motions, given_odometry(robot))
+            heading_sigmas[robot.name] = sigma
+            if heading:
+                headings[robot.name] = heading, sigma
+            if suffice(motions.firsts):
+                odometry[robot.name] = errors
     if headings:
         team = team_records(with_corrected_headings(records, headings), settings)
     landmarks = team.truth.landmarks if settings.shared_landmark_ids else {}
@@ -79,7 +83,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
     for robot in settings.robots:
         of_observations = fit_observations(
             [*team.scans[robot.name], *team.robot_scans[robot.name]], landmarks, team.near,
-            headings.get(robot.name, (0.0, 0.0))[1], given_observations(robot))
+            heading_sigmas.get(robot.name, math.inf), given_observations(robot))
         if of_observations is not None:
             observations[robot.name] = of_observations
     return SystematicErrors(
@@ -88,8 +92,8 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
 
 def _with_heading_error(
     motions: TrueMotions, given: Array
-) -> tuple[ErrorEstimate, tuple[float, float] | None]:
-    """Return the errors of odometry, and of true headings with its sigma [rad] if it is shown."""
+) -> tuple[ErrorEstimate, float, float]:
+    """Return the errors of odometry, and of true headings, 0 if not shown, with its sigma [rad]."""
     as_recorded = fit_to_truth(motions, given)
     errors, heading = as_recorded, 0.0
     for _ in range(MAX_ALIGNMENTS):
@@ -99,8 +103,8 @@ def _with_heading_error(
         if abs(change) < MAX_CHANGE:
             break
     if abs(heading) > MIN_SIGMAS * sigma:
-        return errors, (heading, sigma)
-    return as_recorded, None
+        return errors, heading, sigma
+    return as_recorded, 0.0, sigma
 
 
 def with_errors_by_landmarks(

@@ -17,8 +17,8 @@ from fej_slam_ros.core.records import NS, Odometry
 
 #: Minimum and maximum time between two true poses [ns].
 MIN_TIME, MAX_TIME = 5 * NS, 10 * NS
-#: Minimum number of motions.
-MIN_MOTIONS = 60
+#: Minimum number of motions for the direction of travel.
+MIN_MOTIONS = 20
 #: Usual error of odometry in such a motion [m].
 MOTION_SIGMA = 0.05
 

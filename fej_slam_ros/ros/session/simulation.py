@@ -76,7 +76,7 @@ PARAMETERS = {
     'post_radius': Parameter(
         LENGTHS, 'smallest and largest radius of random posts', 'm', '[0.05, 0.2]'),
     'posts': Parameter(COORDINATES, 'x, y and radius of each post', 'm', 'random posts'),
-    'inner_walls': Parameter(SEED_NUMBER, 'number of random walls in the room', '', '2'),
+    'inner_walls': Parameter(SEED_NUMBER, 'largest number of random walls in the room', '', '2'),
     'walls': Parameter(
         COORDINATES, 'x and y of the begin and of the end of each wall', 'm', 'random walls'),
     'people': Parameter(SEED_NUMBER, 'number of people who walk through the room', '', '2'),

@@ -85,10 +85,9 @@ def test_of_two_true_poses_at_one_stamp_the_first_counts_and_the_second_is_rejec
     np.testing.assert_array_equal(truth.pose('r1', 100 * MS), [1.0, 1.0, pi / 2])
 
 
-def test_truth_from_before_a_checkpoint_is_not_used_again_when_it_is_sent_again():
+def test_truth_that_was_dropped_is_not_used_again_when_it_is_sent_again():
     truth = truth_of(*QUARTER)
     truth.forget_before('r1', 250 * MS)
-    truth.resume()
 
     for ms in 100, 300:
         truth.add(TruePose('r1', ms * MS, np.zeros(3)))

@@ -195,6 +195,20 @@ def test_poses_that_wait_for_ground_truth_are_evaluated_after_a_checkpoint():
         score.position_rmse(), np.sqrt((0.3**2 + 0.6**2) / 3), rtol=1e-12)
 
 
+@pytest.mark.parametrize('filter_', ['fej', 'ideal'])
+def test_true_poses_in_another_order_are_used_after_a_checkpoint(filter_):
+    """That of the first odometry arrives after that of the second."""
+    estimator = Estimator(team('r1', filter=filter_))
+    run(estimator, [true_pose('r1', 200, np.zeros(3))])
+    estimator = continued(estimator)
+
+    run(estimator, [true_pose('r1', 0, np.zeros(3)), *(odometry('r1', t) for t in (0, 200))])
+    for _ in estimator.close():
+        pass
+
+    assert estimator.evaluation.scores['r1'].steps == 2
+
+
 def test_waiting_robot_observations_are_kept():
     records = [
         record for ms in range(0, 1000, 50) for record in (
