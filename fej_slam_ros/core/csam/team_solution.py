@@ -27,6 +27,7 @@ from fej_slam_ros.core.geometry import (
     Array, compose, Indices, pose_rotation, rotation, transform, transform_poses)
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.records import LandmarkKey
+from fej_slam_ros.core.smoothing.marginals import Information
 from fej_slam_ros.core.smoothing.newest_pose import NearMarginal
 
 
@@ -168,10 +169,27 @@ def _smoothed(joint: JointMap, keys: Mapping[str, Sequence[LandmarkKey]]) -> Smo
         landmarks = np.array([index[key] for key in keys[robot]], np.intp)
         trajectories[robot] = SmoothedTrajectory(
             values.poses[own], P_poses[own], landmarks,
-            NearMarginal.of(information, values, poses[-1], landmarks))
+            _near(joint, information, robot, landmarks))
     return SmoothedMap(
         own_frame(joint.robots[0]), trajectories, joint.base_nodes(information),
         joint.landmarks, values.points, P, joint.chi_square, joint.dof)
+
+
+def _near(
+    joint: JointMap, information: Information, robot: str, landmarks: Indices
+) -> NearMarginal:
+    """
+    Return the covariance with which the filter of a robot continues, without some landmarks.
+
+    A landmark that others have elsewhere, so that the observations by this robot were left out, is
+    a new one for its filter: the filter does not gate what the robot observes of it.
+
+    """
+    poses, factors = joint.poses_of(robot), joint.problem.landmarks
+    by_robot = np.isin(factors.pose, poses)
+    used = np.flatnonzero(np.isin(landmarks, factors.target[by_robot]))
+    near = NearMarginal.of(information, joint.values, poses[-1], landmarks[used])
+    return replace(near, landmarks=used[near.landmarks])
 
 
 def _in_map_frame(solved: SmoothedMap, task: SmoothingTask) -> SmoothedMap:
