@@ -14,11 +14,12 @@ node is the first pose of the other robot. Consecutive indices along each trajec
 """
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 
-from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping
+from fej_slam_ros.core.gauss_newton import gauss_newton, NielsenDamping, NoMinimumError
 from fej_slam_ros.core.geometry import Array, poses_plus
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.factors import Values
@@ -53,7 +54,8 @@ def solve(
 
     The minimum need not be the global one: far from the truth it depends on the start. Where a
     robot turns once more than its odometry, between two poses with other measurements, the
-    iteration goes on without that turn, and the lower minimum counts.
+    iteration goes on without that turn, and the lower minimum counts, or the first if there is no
+    other.
 
     Parameters
     ----------
@@ -70,14 +72,16 @@ def solve(
 
     """
     system, damping = problem.system(start), NielsenDamping()
-    minimization = Minimization(system, tolerance, loss)
-    values, _, iterations = gauss_newton(minimization, start, max_iterations, damping)
-    cost, unwound = minimization.linearize(values).cost, system.unwound(values)
+    values, _, iterations = gauss_newton(
+        Minimization(system, tolerance, loss), start, max_iterations, damping)
+    cost, unwound = system.linearize(values, loss).cost, system.unwound(values)
     if unwound is not None:
-        other, _, more = gauss_newton(minimization, unwound, max_iterations, damping)
-        iterations += more
-        if (other_cost := minimization.linearize(other).cost) < cost:
-            values, cost = other, other_cost
+        with suppress(NoMinimumError):
+            other, _, more = gauss_newton(
+                Minimization(system, tolerance, loss), unwound, max_iterations, damping)
+            iterations += more
+            if (other_cost := system.linearize(other, loss).cost) < cost:
+                values, cost = other, other_cost
     return Solution(values, cost, system.unknowns, iterations, damping.rejected)
 
 

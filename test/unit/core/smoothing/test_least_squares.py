@@ -129,6 +129,27 @@ def test_a_turn_too_many_between_observed_poses_is_no_minimum(turns, ends):
     assert solution.cost < 1e-15
 
 
+def test_a_minimum_is_kept_if_none_is_found_without_its_turn():
+    """A robot is turned by 4 rad while its wheels rest."""
+    count, step = 12, 4.0 / 11
+    poses = np.arange(count)[:, None] * [0.1, 0.0, step]
+    points = np.array([[1.0, 2.0], [3.0, -1.0], [0.5, 1.0]])
+    pairs = [(pose, landmark) for pose in (0, count - 1) for landmark in range(3)]
+    z = np.array([turn(-poses[k, 2]) @ (points[m] - poses[k, :2]) for k, m in pairs])
+    problem = Problem(
+        OdometryFactors(
+            np.arange(count - 1), np.arange(1, count), np.zeros((count - 1, 3)),
+            np.diag([0.1, 0.1, 0.1]) ** 2),
+        LandmarkFactors(*np.array(pairs).T, z, 0.05 ** 2 * np.eye(2)))
+    turned, cost = independent_minimum(problem, Values(poses, points))
+
+    # It takes two steps from this start, and more from that without the turn.
+    solution = solve(problem, turned, max_iterations=3)
+
+    assert_same(solution.values, turned, rtol=0.0, atol=1e-6)
+    assert solution.cost == pytest.approx(cost, rel=1e-10)
+
+
 @pytest.mark.parametrize('seed', [4, 5, 6])
 def test_dead_reckoning_and_truth_lead_to_one_minimum(seed):
     problem, truth = world(seed)
