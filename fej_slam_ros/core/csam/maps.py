@@ -83,9 +83,9 @@ class JointMap:
         """Return the map at the minimum, starting at its values; as of `least_squares.solve`."""
         problem = self.problem
         solution = least_squares.solve(problem, self.values, tolerance, loss=loss)
-        rows = problem.odometry.z.size + problem.landmarks.z.size + problem.rendezvous.z.size
         return replace(
-            self, values=solution.values, chi_square=solution.cost, dof=rows - solution.unknowns)
+            self, values=solution.values, chi_square=solution.cost,
+            dof=problem.measured_coordinates() - solution.unknowns)
 
     def landmark_index(self) -> dict[LandmarkKey, int]:
         """Return the index of each landmark by each of its keys."""

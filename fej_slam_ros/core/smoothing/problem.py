@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.records import UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.smoothing.cauchy_loss import CauchyLoss
 from fej_slam_ros.core.smoothing.chain_reduction import ChainedIncrements, ReducedChains
 from fej_slam_ros.core.smoothing.factors import (
@@ -36,6 +37,13 @@ class Problem:
 
     def __reduce__(self) -> tuple[object, ...]:
         return Problem, (self.odometry, self.landmarks, self.rendezvous, self.fixed_poses)
+
+    def measured_coordinates(self) -> int:
+        """Return the number of measured coordinates; a motion that is not known has none."""
+        unknown = (self.odometry.R == UNKNOWN_POSE_COVARIANCE).all(axis=(-2, -1))
+        return (
+            self.odometry.z.size - 3 * int(unknown.sum()) + self.landmarks.z.size
+            + self.rendezvous.z.size)
 
     def system(self, x: Values, kept: Sequence[int] = ()) -> 'System':
         """
