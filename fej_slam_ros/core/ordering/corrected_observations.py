@@ -22,8 +22,13 @@ def without_observation_errors(scan: ScanT, settings: NoiseSettings) -> ScanT:
 def corrected(scan: AnyScan, settings: NoiseSettings) -> AnyScan:
     """Return a scan with corrected ranges, bearings, and covariances."""
     if isinstance(scan, RobotScan):
-        return _corrected(scan, settings, settings.robot_noise_scale)
+        return corrected_robot_scan(scan, settings)
     return _corrected(scan, settings, settings.landmark_noise_scale)
+
+
+def corrected_robot_scan(scan: RobotScan, settings: NoiseSettings) -> RobotScan:
+    """Return a scan of robots with corrected ranges, bearings, and covariances."""
+    return _corrected(scan, settings, settings.robot_noise_scale)
 
 
 def _corrected(scan: ScanT, settings: NoiseSettings, scale: float) -> ScanT:

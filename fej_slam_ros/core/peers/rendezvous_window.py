@@ -26,6 +26,7 @@ from fej_slam_ros.core.csam.rendezvous_alignment import aligned_but_for_outliers
 from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array, compose, upper_triangular
 from fej_slam_ros.core.join_failure import JoinFailure
+from fej_slam_ros.core.ordering.corrected_observations import corrected_robot_scan
 from fej_slam_ros.core.peers.blocks import (
     BadBlockError, decoded, encoded, MAX_STAMP, MAX_VALUE, Measurement)
 from fej_slam_ros.core.peers.logs import LogName
@@ -49,7 +50,7 @@ class WindowInformation:
 
     stamps: tuple[int, ...]  #: times of its poses [ns]
     information: RendezvousInformation  #: its map about these poses, in the same order
-    scans: tuple[RobotScan, ...]  #: its observations of the other robot
+    scans: tuple[RobotScan, ...]  #: its observations of the other robot, corrected
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,8 +111,9 @@ def solve_rendezvous(task: RendezvousTask) -> RendezvousResult | None:
 
 def _window(task: RendezvousTask, theirs: WindowInformation | None) -> WindowInformation | None:
     """Return the information of this robot, None without observations or without a map."""
-    measurements = task.log.measurements()
-    own = _observations(measurements, task.peer)
+    measurements, (robot,) = task.log.measurements(), task.settings.robots
+    # The other robot does not know the errors of this one before it has the log.
+    own = [corrected_robot_scan(m, robot) for m in _observations(measurements, task.peer)]
     observed_at = {scan.stamp for scan in (*own, *(theirs.scans if theirs else ()))}
     if not observed_at:
         return None

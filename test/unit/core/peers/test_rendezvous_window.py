@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.base_node import RendezvousInformation
-from fej_slam_ros.core.geometry import between, compose, inverse
+from fej_slam_ros.core.geometry import between, compose, inverse, rotation
 from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.peers.blocks import BadBlockError
 from fej_slam_ros.core.peers.logs import LogName
@@ -101,6 +101,35 @@ def test_one_observation_of_the_sixteen_of_both_robots_may_be_wrong(error, scans
         deviation = pose_difference(base, between(true['p'][0], true['q'][0]))
         # Three sigmas of a pose are 3.8 of a vector of three.
         assert deviation @ np.linalg.solve(P, deviation) < 3.8**2
+
+
+def distorted(record):
+    """Return observations of q by a sensor with a bearing bias of 0.3 rad and a range scale."""
+    if record.robot != 'q' or isinstance(record, Odometry):
+        return record
+    A, scale = rotation(0.3) / 0.9, 2.0 if isinstance(record, RobotScan) else 1.0
+    return replace(record, observations=tuple(
+        replace(o, z=A @ o.z, R=A @ o.R @ A.T / scale**2) for o in record.observations))
+
+
+def test_observations_are_corrected_by_the_parameters_of_their_own_robot():
+    """Here q, whose parameters p does not know before it has the log of q."""
+    robots, _ = met('map_joining')
+    wrong, _ = met('map_joining', change=distorted)
+    wrong['q'].settings = replace(wrong['q'].settings, robots=tuple(
+        replace(robot, observation_bearing_bias=0.3, observation_range_scale=0.9,
+                robot_noise_scale=2.0) if robot.name == 'q' else robot
+        for robot in wrong['q'].settings.robots))
+
+    for case in (robots, wrong):
+        case['q'].share_rendezvous('p')
+        give(case, 'q', 'p')
+    results = [case['p'].share_rendezvous('q') for case in (robots, wrong)]
+    expected, base = (result.alignment.base_node for result in results)
+
+    # R_sqrt of the information has single precision.
+    assert_allclose(base.pose, expected.pose, atol=1e-5)
+    assert_allclose(base.P, expected.P, atol=1e-5)
 
 
 def test_the_pose_of_the_other_robot_is_where_it_was_last_seen():
