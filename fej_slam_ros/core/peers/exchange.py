@@ -107,6 +107,15 @@ class PeerState:
             return MAX_ROUND_TRIP
         return max(self.round_trip + ROUND_TRIP_MARGIN, MIN_WAIT)
 
+    def forget(self, oldest: int) -> None:
+        """
+        Forget the logs that it has not listed since a time [ns]: it may have restarted without.
+
+        Each hello may be lost, and may have a part of the list only.
+
+        """
+        self.known = {log: known for log, known in self.known.items() if known[0] >= oldest}
+
     def has_listed_all(self) -> bool:
         """Return whether its hellos have named all its logs."""
         return self.logs is not None and self.logs <= len(self.known)
@@ -236,6 +245,7 @@ class PeerExchange:
         of_team = {
             entry.log: (heard, entry) for entry in hello.known
             if self._is_wanted(entry.log) or entry.log in self.logs.logs}
+        peer.forget(heard - REACH_PERIODS * self.settings.period)
         peer.known |= of_team
         # It may list logs of robots that are unknown here.
         peer.others |= {entry.log for entry in hello.known if entry.log not in of_team}

@@ -264,6 +264,25 @@ def test_a_restarted_robot_receives_everything_again():
     assert known(robots['q'], 'p') == identities(driven)
 
 
+def test_a_log_that_a_restarted_robot_has_lost_is_sent_to_it_again():
+    """As after a disk that was full when the log arrived: its file continues the same run."""
+    robots = team('p', 'q')
+    for robot in robots.values():
+        drive(robot)
+        robot.logs.flush()
+    file = robots['p'].logs.take_new_blocks()
+    radio = Radio(robots, np.random.default_rng(1))
+    radio.run(6.0)
+    assert known(robots['p'], 'q') == known(robots['q'], 'q')
+
+    robots['p'] = Robot('p', robots['p'].settings)
+    for block in file:
+        robots['p'].logs.restore(block)
+    radio.run(6.0)
+
+    assert known(robots['p'], 'q') == known(robots['q'], 'q')
+
+
 def test_a_robot_that_is_not_a_peer_is_rejected_by_name():
     robots = team('p', 'q')
     stranger = team('q', 'stranger')['stranger']
