@@ -50,7 +50,8 @@ def unsolved(
 ) -> TeamSmoother:
     """Return the smoother of measurements in the order of stamps, before it is solved."""
     # Their robots have applied their limits, which may differ, before their logs.
-    team = TeamSmoother(replace(settings, max_observations=sys.maxsize), solve_every)
+    settings = replace(settings, max_observations=sys.maxsize, max_delay=Settings.max_delay)
+    team = TeamSmoother(settings, solve_every)
     for measurement in measurements:
         team.add(measurement)
         for _ in team.take():
