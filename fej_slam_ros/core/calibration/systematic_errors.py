@@ -93,7 +93,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
 def _with_heading_error(
     motions: TrueMotions, given: Array
 ) -> tuple[ErrorEstimate, float, float]:
-    """Return the errors of odometry, and of true headings, 0 if not shown, with its sigma [rad]."""
+    """Return the errors of odometry, that of headings, 0 if not shown, and its sigma [rad]."""
     as_recorded = fit_to_truth(motions, given)
     errors, heading = as_recorded, 0.0
     for _ in range(MAX_ALIGNMENTS):

@@ -128,8 +128,7 @@ class RobotDetector:
             yield Condition(
                 'scan_duration', timing.fault,
                 'set scan_duration of the detector to the time in which the laser measures a scan,'
-                ' or correct time_increment in the driver; if all beams are measured at once, set'
-                ' scan_time to 0 too')
+                ' or correct time_increment in the driver')
         if timing.is_missing:
             yield Condition(
                 'scan_times',

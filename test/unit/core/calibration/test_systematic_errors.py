@@ -4,6 +4,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from fej_slam_ros.core.calibration.systematic_errors import errors_by_truth
@@ -18,9 +19,10 @@ RIGHT = (0.0, 0.0, -0.03)
 
 def errors(heading=0.0, **changes):
     """Return the errors found by true poses with wrong headings."""
+    off = np.array([0.0, 0.0, heading])
     records = [record for of_kind in run(**changes) for record in of_kind]
     return errors_by_truth([
-        (replace(r, pose=r.pose + [0.0, 0.0, heading]) if isinstance(r, TruePose) else r, r.stamp)
+        (replace(r, pose=r.pose + off) if isinstance(r, TruePose) else r, r.stamp)
         for r in sorted(records, key=lambda r: r.stamp)], SETTINGS)
 
 
