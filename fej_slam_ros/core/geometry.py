@@ -201,12 +201,18 @@ def pose_at(stamp: int, known: Sequence[StampedPose], longest_gap: int) -> Array
 
 def poses_at(stamps: Stamps, known: Stamps, poses: Array) -> Array:
     """Return poses (m, 3) at stamps (m,) by interpolation of poses (n, 3) at stamps `known`."""
+    poses = turning_poses_at(stamps, known, poses)
+    poses[:, 2] = wrap_all(poses[:, 2])
+    return poses
+
+
+def turning_poses_at(stamps: Stamps, known: Stamps, poses: Array) -> Array:
+    """Return the same with headings that are not wrapped, which count whole turns."""
     # Floats do not resolve nanoseconds since 1970.
     stamps, known = stamps - known[0], known - known[0]
     x, y, phi = poses.T
     return np.column_stack([
-        np.interp(stamps, known, x), np.interp(stamps, known, y),
-        wrap_all(np.interp(stamps, known, np.unwrap(phi)))])
+        np.interp(stamps, known, column) for column in (x, y, np.unwrap(phi))])
 
 
 def motion_to_begin(stamp: int, stamps: Stamps, poses: Array) -> Array:

@@ -180,7 +180,7 @@ class RecordedTruth:
         stamps = [stamp for stamp, _ in poses[:max(count, 0)]]
         if stamps:
             del poses[:count]
-            self._dropped[robot] = max(stamps[-1], self._dropped.get(robot, stamps[-1]))
+            self._dropped[robot] = stamps[-1]
         return stamps
 
 

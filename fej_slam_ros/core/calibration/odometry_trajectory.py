@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fej_slam_ros.core import models
-from fej_slam_ros.core.geometry import Array, Stamps
+from fej_slam_ros.core.geometry import Array, Stamps, turning_poses_at
 from fej_slam_ros.core.records import NS, Odometry
 
 
@@ -17,9 +17,7 @@ class OdometryTrajectory:
     """Odometry of one robot."""
 
     stamps: Stamps  #: (k,) array, ascending [ns]
-    #: (k, 3) array, with headings that are not wrapped, as robots turn by more than half a turn
-    #: between two observations
-    poses: Array
+    poses: Array  #: (k, 3) array
 
     @classmethod
     def of(cls, odometry: Sequence[Odometry]) -> 'OdometryTrajectory':
@@ -27,16 +25,11 @@ class OdometryTrajectory:
         stamps = np.array([record.stamp for record in odometry], np.int64)
         poses = np.array([record.pose for record in odometry]).reshape(-1, 3)
         stamps, first = np.unique(stamps, return_index=True)
-        poses = poses[first]
-        poses[:, 2] = np.unwrap(poses[:, 2])
-        return cls(stamps, poses)
+        return cls(stamps, poses[first])
 
     def at(self, stamps: Stamps) -> Array:
-        """Return the poses (n, 3) at stamps (n,) [ns] by interpolation."""
-        # Floats do not resolve nanoseconds since 1970.
-        start = self.stamps[0]
-        return np.column_stack([
-            np.interp(stamps - start, self.stamps - start, column) for column in self.poses.T])
+        """Return the poses (n, 3) at stamps (n,) [ns] by interpolation, with whole turns."""
+        return turning_poses_at(stamps, self.stamps, self.poses)
 
     def motions(self, begins: Stamps, ends: Stamps) -> Array:
         """Return poses (n, 3) at stamps `ends` in the frames of those at `begins` (n,) [ns]."""
