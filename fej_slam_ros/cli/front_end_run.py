@@ -79,7 +79,7 @@ def _report(counts: Sequence[RobotCounts]) -> Iterator[str]:
     yield text_table(
         ('', *(robot for robot, _, _ in counts)),
         [(name, *map(str, row)) for name, row in rows.items() if any(row)])
-    yield from (f'{robot}: {warning}' for robot, warning, _ in counts if warning)
+    yield from (f'{robot}: {warning}' for robot, warnings, _ in counts for warning in warnings)
 
 
 def _refuse_outputs(

@@ -210,6 +210,12 @@ def feed(run, messages):
     return published
 
 
+def reports(session):
+    """Yield each robot of a front end, its warnings in one string, and its counts."""
+    for robot, warnings, counts in session.counts():
+        yield robot, '; '.join(warnings), counts
+
+
 def drive(run, messages):
     """Process messages one by one and close the run; return all publications."""
     return [*feed(run, messages), *run.close()]

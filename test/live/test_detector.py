@@ -53,7 +53,7 @@ def test_a_sensor_that_falls_silent_is_a_warning(tmp_path):
             before = len(reports)
             domain.until(lambda: len(reports) > before)  # noqa: B023
 
-        domain.until(lambda: 'its scans have stopped' in reports[-1].status[0].message)
+        domain.until(lambda: 'the scans have stopped' in reports[-1].status[0].message)
 
 
 def test_scans_of_another_type_are_named():

@@ -30,7 +30,7 @@ from fej_slam_ros.ros.session.node_conditions import IncompatibleQos, NO_CLOCK
 from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.topic_types import TF_TYPE
 
-#: Number of reports that have the same warning before it is logged.
+#: Number of reports in a row that have the same warning before it is logged.
 PATIENCE = 5
 #: Longest time [s] for which messages are added before they are processed, and for which they are
 #: processed before others are added.
@@ -77,10 +77,8 @@ class FrontEndNode(ParameterNode):
 
     def __init__(self, name: str) -> None:
         super().__init__(name)
-        # The latest warning of each robot, and the number of reports that had it.
-        self._warnings: dict[str, tuple[str, int]] = {}
-        # The number of scans of each robot, and of reports since it changed.
-        self._used: dict[str, tuple[int, int]] = {}
+        # Number of reports in a row up to the latest with a line of the log, which is a warning.
+        self._reports: dict[str, int] = {}
         self._qos = QosWatch(self)
         self.received = 0
         # Publications that are not computed yet, None if all are published.
@@ -156,25 +154,24 @@ class FrontEndNode(ParameterNode):
 
     def _report(self) -> None:
         now = self.get_clock().now().nanoseconds
-        missing = '' if now else NO_CLOCK
         incompatible = self._qos.incompatible()
         counts = [
-            (robot, missing or self._problem(robot, incompatible) or warning
-             or self._silence(robot, values), values)
-            for robot, warning, values in self._front_end.counts()]
+            (robot, self._problems(robot, incompatible) or warnings, values)
+            for robot, warnings, values in self._front_end.counts()]
+        if not now:
+            counts = [(robot, [NO_CLOCK], values) for robot, _, values in counts]
         topic, message = report(self.get_fully_qualified_name().lstrip('/'), counts, now)
         self._outputs[topic].publish(serialize(message))
-        for robot, warning, _ in counts:
-            before, reports = self._warnings.get(robot, ('', 0))
-            reports = reports + 1 if warning == before else 1
-            self._warnings[robot] = warning, reports
-            if warning and reports == PATIENCE:
-                # Others may take long to start.
-                severity = LogSeverity.INFO if missing else LogSeverity.WARN
-                log_writer.write(self.get_logger(), [LogLine(severity, f'{robot}: {warning}')])
+        lines = [f'{robot}: {warning}' for robot, warnings, _ in counts for warning in warnings]
+        self._reports = {line: self._reports.get(line, 0) + 1 for line in lines}
+        # Others may take long to start.
+        severity = LogSeverity.WARN if now else LogSeverity.INFO
+        log_writer.write(self.get_logger(), [
+            LogLine(severity, line)
+            for line, reports in self._reports.items() if reports == PATIENCE])
 
-    def _problem(self, robot: str, incompatible: Iterable[IncompatibleQos]) -> str:
-        """Return what keeps messages on a robot's topics from arriving, '' if nothing does."""
+    def _problems(self, robot: str, incompatible: Iterable[IncompatibleQos]) -> list[str]:
+        """Return what keeps messages on a robot's topics from arriving."""
         topics = {
             self.resolve_topic_name(topic): type_name
             for topic, type_name in self._front_end.topics.items()
@@ -182,19 +179,9 @@ class FrontEndNode(ParameterNode):
         problems = chain(
             (str(qos) for qos in incompatible if qos.topic in topics),
             (self._other_type(topic, type_name) for topic, type_name in topics.items()))
-        return next(filter(None, problems), '')
+        return [*filter(None, problems)]
 
     def _other_type(self, topic: str, type_name: str) -> str:
         published = {found.topic_type for found in self.get_publishers_info_by_topic(topic)}
         others = ', '.join(sorted(published - {type_name}))
         return f'{topic} is published as {others}, this node needs {type_name}' if others else ''
-
-    def _silence(self, robot: str, values: Mapping[str, int]) -> str:
-        """Return that no scan of a robot can be used any more, '' if some came lately."""
-        # Other sensors send only what they see.
-        used = values.get('scans', 0)
-        before, reports = self._used.get(robot, (0, 0))
-        reports = reports + 1 if used == before else 0
-        self._used[robot] = used, reports
-        is_silent = used > 0 and reports >= PATIENCE
-        return 'its scans have stopped, or none is usable any more' if is_silent else ''

@@ -2,12 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Counts of the messages and objects of an adapter, and what users have to know of them."""
 
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Collection, Iterator, Sequence
 
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session.frames import FrameNames
-from fej_slam_ros.ros.session.front_end import RobotCounts
+from fej_slam_ros.ros.session.front_end import RECENT_REPORTS, RobotCounts
 from fej_slam_ros.ros.session.landmark_ids import LandmarkIds
 from fej_slam_ros.ros.session.object_queue import ObjectQueue, Origin
 from fej_slam_ros.ros.session.sensor_frames import SensorFrames
@@ -40,6 +40,8 @@ class AdapterCounts:
         self._counts: dict[str, Counter[str]] = {
             name: Counter(messages=0, landmarks=0, robots=0)
             for name in (*robots, UNKNOWN_ROBOT)}
+        # The counts at the latest reports.
+        self._earlier: deque[dict[str, Counter[str]]] = deque([{}], RECENT_REPORTS)
 
     def add(self, robot: str, **counts: int) -> None:
         self._counts[robot].update(counts)
@@ -59,24 +61,29 @@ class AdapterCounts:
             self._ignored[robot] = names[-1]
 
     def report(self) -> Iterator[RobotCounts]:
-        """Yield each robot, a warning or '', and the counts of its messages and observations."""
+        """Yield each robot, its warning, and the counts of its messages and observations."""
         counts = {name: Counter(of_robot) for name, of_robot in self._counts.items()}
         for origin, number in self._queue.waiting().items():
             counts[self._reported(origin)]['waiting'] += number
         for origin, number in self._queue.dropped.items():
             counts[self._reported(origin)][f'rejected_{RejectionReason.WRONG_FRAME.value}'] += (
                 number)
+        earlier = self._earlier[0]
+        self._earlier.append(counts)
         for name, of_robot in counts.items():
             if name != UNKNOWN_ROBOT or of_robot.total() > of_robot['ignored']:
-                yield name, self._warning(name, of_robot), {
+                warning = (
+                    self._why_nothing(name, of_robot)
+                    or _why_rejected(of_robot - earlier.get(name, Counter()), of_robot))
+                yield name, [warning] if warning else [], {
                     **of_robot, 'waiting': of_robot['waiting'],
                     'transforms_rejected': self._frames.rejected.total()}
 
     def _reported(self, origin: Origin) -> str:
         return self._queue.owner(origin) or UNKNOWN_ROBOT
 
-    def _warning(self, name: str, counts: Counter[str]) -> str:
-        """Return the sentence on the most serious condition of a robot, '' if all is well."""
+    def _why_nothing(self, name: str, counts: Counter[str]) -> str:
+        """Return why nothing of a robot, or not all, can be used at all, '' if all can be."""
         origins = self._queue.unknown()
         frames = [origin.frame for origin in origins if self._reported(origin) == name]
         if frames and self._frames.is_fixed(name, frames[0]):
@@ -91,18 +98,7 @@ class AdapterCounts:
                 f' {min(self._ids.conflicts)!r}: give them IDs in ids_file')
         if name != UNKNOWN_ROBOT and not counts['messages']:
             return self._why_no_messages(name, origins)
-        rejected = Counter({
-            key.removeprefix('rejected_'): n for key, n in counts.items()
-            if key.startswith('rejected_')})
-        used = counts['landmarks'] + counts['robots']
-        if used:
-            # What is too far away may be so on purpose.
-            del rejected[RejectionReason.OUT_OF_RANGE.value]
-        if rejected.total() <= used:
-            return ''
-        reason, _ = rejected.most_common(1)[0]
-        return f'{"most" if used else "all"} detections are rejected, most as {reason}' + (
-            f': {CURES[reason]}' if reason in CURES else '')
+        return ''
 
     def _why_no_messages(self, name: str, origins: Sequence[Origin]) -> str:
         """Return why no message of a robot was used."""
@@ -115,6 +111,22 @@ class AdapterCounts:
             return f'no detections that are known to be its own, see {UNKNOWN_ROBOT}'
         topics = ', '.join(topic for topic in self._object_topics if topic.startswith(f'{name}/'))
         return f'no detections: publish them on {topics or "/tf"}'
+
+
+def _why_rejected(recent: Counter[str], counts: Counter[str]) -> str:
+    """Return why most of the recent detections were rejected, '' if most were used."""
+    rejected = Counter({
+        key.removeprefix('rejected_'): n for key, n in recent.items()
+        if key.startswith('rejected_')})
+    used = recent['landmarks'] + recent['robots']
+    if counts['landmarks'] + counts['robots']:
+        # What is too far away may be so on purpose.
+        del rejected[RejectionReason.OUT_OF_RANGE.value]
+    if rejected.total() <= used:
+        return ''
+    (reason, _), = rejected.most_common(1)
+    return f'{"most" if used else "all"} detections are rejected, most as {reason}' + (
+        f': {CURES[reason]}' if reason in CURES else '')
 
 
 def _unknown_pose(name: str, frame: str, names: FrameNames) -> str:

@@ -93,7 +93,7 @@ class DetectorSession(FrontEnd):
 
     def counts(self) -> Iterator[RobotCounts]:
         for name, state in self.detectors.items():
-            yield name, state.warning(), state.counts(self._frames.rejected.total())
+            yield name, state.report(), state.counts(self._frames.rejected.total())
 
     def _receive_odometry(
         self, name: str, message: Message | None, received: int | None

@@ -3,7 +3,7 @@
 """The front end of SLAM, live or from a bag: observations of landmarks from data of sensors."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.ros.messages import outgoing, RawMessage
@@ -11,8 +11,10 @@ from fej_slam_ros.ros.session.faults import Level
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
 from fej_slam_ros.ros.topic_types import DIAGNOSTICS_TOPIC
 
-#: A robot, a warning or '', and the counts of its input and output.
-RobotCounts = tuple[str, str, dict[str, int]]
+#: Number of reports since which what has arrived shows what is so at present.
+RECENT_REPORTS = 5
+#: A robot, its warnings, and the counts of its input and output.
+RobotCounts = tuple[str, Sequence[str], dict[str, int]]
 
 
 class FrontEnd(ABC):
@@ -45,14 +47,19 @@ class FrontEnd(ABC):
 
     @abstractmethod
     def counts(self) -> Iterator[RobotCounts]:
-        """Yield each robot, a warning or '', and the counts of its input and output."""
+        """
+        Yield each robot, its warnings, and the counts of its input and output.
+
+        It is called once for each report; the warnings are of the time since the latest ones.
+
+        """
 
 
 def report(node: str, counts: Iterable[RobotCounts], stamp: int) -> Publication:
     """Return the diagnostics of the front end of a node by its counts, at a time [ns]."""
     statuses = [
         outgoing.diagnostic_status(
-            f'{node}: {name}', Level.WARN if warning else Level.OK, warning or 'detecting',
-            values, name)
-        for name, warning, values in counts]
+            f'{node}: {name}', Level.WARN if warnings else Level.OK,
+            '; '.join(warnings) or 'detecting', values, name)
+        for name, warnings, values in counts]
     return DIAGNOSTICS_TOPIC, outgoing.diagnostics(stamp, statuses)

@@ -4,6 +4,7 @@
 
 from collections import Counter, deque
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from itertools import chain
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from fej_slam_ros.ros.messages import laser
 from fej_slam_ros.ros.messages.laser import ScanFault
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.session.distinct_stamps import DistinctStamps, MAX_SENSORS
+from fej_slam_ros.ros.session.front_end import RECENT_REPORTS
 from fej_slam_ros.ros.session.scan_timing import ScanTiming
 
 #: Number of waiting scans above which processing is too slow: a laser sends fewer in the second
@@ -28,6 +30,24 @@ class Condition(NamedTuple):
     name: str  #: in one word, as a finding of ``doctor``
     what: str  #: description
     cure: str  #: what the user can do, '' if the description says it
+
+
+@dataclass(frozen=True, slots=True)
+class InputCounts:
+    """Counts of messages, in all or in some time."""
+
+    scans: int = 0  #: that were used
+    without_odometry: int = 0  #: of these
+    odometry: int = 0
+    faults: Counter[ScanFault] = field(default_factory=Counter)  #: of rejected scans
+    rejected_odometry: Counter[RejectionReason] = field(default_factory=Counter)
+
+    def since(self, earlier: 'InputCounts') -> 'InputCounts':
+        """Return the counts without those of an earlier time."""
+        return InputCounts(
+            self.scans - earlier.scans, self.without_odometry - earlier.without_odometry,
+            self.odometry - earlier.odometry, self.faults - earlier.faults,
+            self.rejected_odometry - earlier.rejected_odometry)
 
 
 class RobotDetector:
@@ -47,6 +67,7 @@ class RobotDetector:
         # transform from these leads.
         self._unknown_frames: set[str] = set()
         self._base_frame = ''
+        self._earlier = deque([InputCounts()], RECENT_REPORTS)  # at the latest reports
 
     def note_laser(self, frame: str, base_frame: str, is_known: bool) -> None:
         """Record whether the place of a laser in the base frame is known."""
@@ -67,33 +88,45 @@ class RobotDetector:
             'time_jumps': detector.restarts, 'transforms_rejected': rejected_transforms,
             **_by_reason('scans', self.faults), **_by_reason('segments', detector.rejected)}
 
-    def warning(self) -> str:
-        """Return the most serious condition with its cure, '' without any."""
-        first = next(self.conditions(), None)
-        return '' if first is None else ': '.join(filter(None, first[1:]))
-
     def conditions(self) -> Iterator[Condition]:
-        """Yield what users have to know, the most serious first."""
-        yield from chain(self._of_use(), self._of_odometry(), self._of_place(), self._of_times())
+        """Yield what users have to know of all the input, the most serious first."""
+        yield from self._conditions(self._input())
+
+    def report(self) -> list[str]:
+        """Return the conditions at present, with their cures; to be called each second."""
+        counts = self._input()
+        conditions = self._conditions(counts.since(self._earlier[0]))
+        self._earlier.append(counts)
+        return [': '.join(filter(None, condition[1:])) for condition in conditions]
+
+    def _input(self) -> InputCounts:
+        return InputCounts(
+            self.detector.scans, self.detector.without_odometry, self.odometry,
+            self.faults.copy(), self.rejected_odometry.copy())
+
+    def _conditions(self, counts: InputCounts) -> Iterator[Condition]:
+        yield from chain(
+            self._of_use(counts), self._of_odometry(counts), self._of_place(), self._of_times())
         if self.detector.scans and not self.landmarks:
             yield _no_landmark(self.detector)
 
-    def _of_use(self) -> Iterator[Condition]:
-        detector, rejected = self.detector, self.faults.total()
-        if detector.waiting > MANY_WAITING:
+    def _of_use(self, counts: InputCounts) -> Iterator[Condition]:
+        waiting = self.detector.waiting
+        if waiting > MANY_WAITING:
             yield Condition(
                 'slow',
-                f'{detector.waiting} scans wait, as they come faster than they are processed',
+                f'more than {MANY_WAITING} scans wait: they come faster than they are processed',
                 'lower their rate or their number of beams')
-        if rejected > detector.scans + detector.waiting:
-            (fault, count), = self.faults.most_common(1)
-            total = rejected + detector.scans + detector.waiting
-            number = 'all' if count == total else f'{count} of {total}'
+        if counts.faults.total() > counts.scans + waiting:
+            (fault, _), = counts.faults.most_common(1)
+            number = 'most' if counts.scans + waiting else 'all'
             yield Condition(
-                'scans_rejected', f'{number} scans are rejected as {fault.value}',
+                'scans_rejected', f'{number} scans are rejected, most as {fault.value}',
                 laser.CURES[fault])
-        elif not detector.scans:
-            yield Condition('no_scans', 'no scans', f'publish them on {self._name}/scan')
+        elif not counts.scans + waiting:
+            yield (
+                Condition('scans_stopped', 'the scans have stopped', '') if self.detector.scans
+                else Condition('no_scans', 'no scans', f'publish them on {self._name}/scan'))
 
     def _of_place(self) -> Iterator[Condition]:
         if self._unknown_frames:
@@ -109,15 +142,16 @@ class RobotDetector:
                 'the scans have no frame_id, so that the laser is taken to be in the base frame',
                 'set it in the driver, and publish the transform of this frame')
 
-    def _of_odometry(self) -> Iterator[Condition]:
-        detector = self.detector
-        if self.rejected_odometry.total() > self.odometry:
-            reason, _ = self.rejected_odometry.most_common(1)[0]
+    def _of_odometry(self, counts: InputCounts) -> Iterator[Condition]:
+        if counts.rejected_odometry.total() > counts.odometry:
+            (reason, _), = counts.rejected_odometry.most_common(1)
             yield Condition(
                 'odometry_rejected',
                 f'most odometry on {self._name}/odom is rejected as {reason.value}',
                 'correct it as the rejection reasons in the documentation of the topics say')
-        elif detector.scans and detector.without_odometry == detector.scans:
+        elif self.odometry and not counts.odometry:
+            yield Condition('odometry_stopped', 'the odometry has stopped', '')
+        elif counts.scans and counts.without_odometry == counts.scans:
             yield Condition(
                 'no_odometry', 'no odometry around the scans',
                 f'publish it on {self._name}/odom, with stamps of the same clock')

@@ -13,7 +13,7 @@ from fej_slam_ros.ros.parameters.adapter_settings import parse_adapter
 from fej_slam_ros.ros.session.adapter_session import AdapterSession
 from helpers import foreign
 from helpers.core import moments
-from helpers.ros import drive, feed, mounts, odometry_message, raw, TYPES
+from helpers.ros import drive, feed, mounts, odometry_message, raw, reports, TYPES
 
 #: A camera 0.2 m ahead of the base and 0.5 m above it that looks to the left: z of its optical
 #: frame is to the left, x backwards along the robot seen from the image, that is ahead.
@@ -94,7 +94,7 @@ def test_objects_in_the_world_are_not_taken_for_detections_of_a_camera(frame, se
     found = run(session, ODOMETRY, foreign.marker_array(5, frame, {('tags', 6): SEEN}))
 
     assert clouds(found) == []
-    assert [warning.partition(':')[0] for _, warning, _ in session.counts()] == [sentence]
+    assert [warning.partition(':')[0] for _, warning, _ in reports(session)] == [sentence]
 
 
 def test_a_camera_without_frame_needs_a_pose_and_is_not_the_base():
@@ -104,7 +104,7 @@ def test_a_camera_without_frame_needs_a_pose_and_is_not_the_base():
         formats=['marker_array'], **{'r1.sensor_pose': [0.2, 0.0, 0.5, -np.pi / 2, 0.0, 0.0]})
 
     assert clouds(run(session, ODOMETRY, message)) == []
-    assert [warning for _, warning, _ in session.counts()] == [
+    assert [warning for _, warning, _ in reports(session)] == [
         'the messages have no frame_id: set it in the detector, or set r1.sensor_pose']
     (_, points, _), = clouds(run(known, ODOMETRY, message))
     np.testing.assert_allclose(points, [IN_BASE], atol=1e-9)
@@ -121,7 +121,7 @@ def test_why_all_detections_are_rejected_is_told_with_a_cure(detections, reason,
 
     run(session, ODOMETRY, CAMERA, foreign.detections3d(5, 'r1/camera', detections))
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert f'rejected, most as {reason}: ' in warning
     assert cure in warning
 
@@ -222,7 +222,7 @@ def test_objects_wait_for_odometry_and_for_transforms_that_come_late():
     early = [foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in (5, 15)]
 
     before = feed(session, early)
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     after = run(session, CAMERA, ODOMETRY)
 
     assert clouds(before) == []
@@ -237,10 +237,10 @@ def test_objects_without_a_transform_are_bounded_counted_and_named():
     feed(session, (
         foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in range(1_200)))
 
-    assert next(session.counts())[2]['waiting'] == 1_000
+    assert next(reports(session))[2]['waiting'] == 1_000
     run(session)
 
-    (_, _, counts), = session.counts()
+    (_, _, counts), = reports(session)
     assert (counts['waiting'], counts['rejected_wrong_frame']) == (0, 1_200)
 
 
@@ -250,7 +250,7 @@ def test_a_transform_that_has_come_is_no_longer_reported_as_missing():
         foreign.april_tags(ms, 'r1/camera', {'tag36h11:4': SEEN}) for ms in range(1_200)))
     feed(session, [CAMERA, ODOMETRY])
 
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert (warning, counts['messages'], counts['rejected_wrong_frame']) == ('', 1_000, 200)
 
 
@@ -289,7 +289,7 @@ def test_on_the_tf_of_the_team_the_frame_of_the_camera_says_whose_tag_it_is():
     assert [ids for ids, _, _ in clouds(found)] == [[4]]
     assert [(ids, points.tolist()) for ids, points, _ in clouds(found, 'r2/landmarks')] == [
         ([5], [[2.0, 1.0]])]
-    *_, (name, _, counts) = session.counts()
+    *_, (name, _, counts) = reports(session)
     assert (name, counts['rejected_wrong_frame']) == ('unknown robot', 2)
 
 
@@ -300,7 +300,7 @@ def test_other_transforms_on_tf_are_no_scans():
         5, 'r1/camera', {'r1/lens': (1.0, 2.0, 0.0)}))
 
     assert clouds(found) == []
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert (counts['ignored'], "'names'" in warning) == (1, True)
 
 
@@ -324,7 +324,7 @@ def test_tags_of_other_names_on_tf_are_named_at_each_robot():
     run(session, ODOMETRY, links, tag, links)
 
     assert ["for example 'tag_7'" in warning
-            for name, warning, _ in session.counts() if name != 'unknown robot'] == [True, True]
+            for name, warning, _ in reports(session) if name != 'unknown robot'] == [True, True]
 
 
 @pytest.mark.parametrize(('parent', 'child'), [
@@ -334,7 +334,7 @@ def test_links_and_odometry_of_a_robot_on_tf_are_no_tags_of_other_names(parent, 
 
     run(session, ODOMETRY, foreign.april_tags(5, parent, {child: SEEN}, '/tf'))
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning.startswith('no detections: publish them on')
 
 
@@ -422,7 +422,7 @@ def test_names_with_the_same_id_are_refused_unless_they_are_given_others():
         session_of(ids={'tag25h9:4': 104}, formats=['landmark_list']), ODOMETRY, message))
 
     assert (ids, given) == ([], [4, 104])
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert ('ids_file' in warning, counts['rejected_bad_id']) == (True, 2)
 
 
@@ -441,7 +441,7 @@ def test_a_tag_of_a_robot_is_an_observation_of_the_robot_behind_it():
     np.testing.assert_allclose(points, [(0.2, 3.25)], atol=1e-9)
     assert R[0, 0, 0] == pytest.approx((3.0 * 0.005)**2 + (0.25 * 0.1)**2)
     assert [ids for ids, _, _ in clouds(found)] == [[4]]
-    counts = next(session.counts())[2]
+    counts = next(reports(session))[2]
     assert (counts['rejected_self_sighting'], counts['further_tags']) == (1, 1)
 
 
@@ -503,7 +503,7 @@ def test_what_cannot_be_used_is_counted_by_reason(name, message, count):
     found = run(session, ODOMETRY, message)
 
     assert [ids for ids, _, _ in clouds(found)] in ([], [[]])
-    assert next(session.counts())[2][f'rejected_{count}'] == 1
+    assert next(reports(session))[2][f'rejected_{count}'] == 1
 
 
 def test_a_message_of_many_bytes_is_rejected_before_it_is_decoded():
@@ -512,7 +512,7 @@ def test_a_message_of_many_bytes_is_rejected_before_it_is_decoded():
     found = run(session, ODOMETRY, replace(message, raw=message.raw + bytes(4_000_000)))
 
     assert not clouds(found)
-    assert next(session.counts())[2]['rejected_too_large'] == 1
+    assert next(reports(session))[2]['rejected_too_large'] == 1
 
 
 def test_a_bad_stamp_is_rejected():
@@ -523,7 +523,7 @@ def test_a_bad_stamp_is_rejected():
 
     run(session, ODOMETRY, replace(message, raw=bytes(bad)))
 
-    assert next(session.counts())[2]['rejected_bad_stamp'] == 1
+    assert next(reports(session))[2]['rejected_bad_stamp'] == 1
 
 
 def test_a_stamp_after_which_no_other_fits_into_a_message_is_rejected():
@@ -538,7 +538,7 @@ def test_a_stamp_after_which_no_other_fits_into_a_message_is_rejected():
     published = clouds(run(session, ODOMETRY, CAMERA, *detected))
 
     assert published == []
-    assert next(session.counts())[2]['rejected_bad_stamp'] == 2
+    assert next(reports(session))[2]['rejected_bad_stamp'] == 2
 
 
 def test_a_detection_of_a_box_only_is_where_the_box_is():
@@ -651,7 +651,7 @@ def test_a_frame_without_name_of_a_robot_waits_until_all_bases_are_known():
     found = run(session, first, both, tag, second)
 
     assert clouds(found) == clouds(found, 'r2/landmarks') == []
-    *_, (name, warning, _) = session.counts()
+    *_, (name, warning, _) = reports(session)
     assert (name, "'camera'" in warning) == ('unknown robot', True)
 
 
@@ -669,7 +669,7 @@ def test_the_missing_transform_of_a_frame_on_tf_is_a_matter_of_its_robot():
 
     run(session, ODOMETRY, foreign.april_tags(5, 'r1/camera', {'tag36h11:4': SEEN}, '/tf'))
 
-    name, warning, counts = next(session.counts())
+    name, warning, counts = next(reports(session))
     assert (name, counts['rejected_wrong_frame']) == ('r1', 1)
     assert "from the frame 'r1/camera' to the base frame 'r1/base_link'" in warning
 
@@ -683,7 +683,7 @@ def test_many_unknown_frames_do_not_silence_a_known_one():
 
     assert len(clouds(found)) == 5
     # Of 100 places for frames, the known one needs one for a moment.
-    assert next(session.counts())[2]['rejected_wrong_frame'] == 51
+    assert next(reports(session))[2]['rejected_wrong_frame'] == 51
 
 
 @pytest.mark.parametrize(
@@ -700,7 +700,7 @@ def test_two_tags_with_one_id_in_view_are_rejected():
     (ids, _, _), = clouds(run(session, ODOMETRY, twice))
 
     assert ids == []
-    assert next(session.counts())[2]['rejected_duplicate_id'] == 2
+    assert next(reports(session))[2]['rejected_duplicate_id'] == 2
 
 
 def test_objects_of_one_class_are_named_also_if_some_are_seen_alone():
@@ -710,7 +710,7 @@ def test_objects_of_one_class_are_named_also_if_some_are_seen_alone():
     run(session, ODOMETRY, foreign.detections3d(5, 'r1/base_link', [chair]), *[
         foreign.detections3d(ms, 'r1/base_link', [chair, chair]) for ms in (6, 7)])
 
-    assert next(session.counts())[1].startswith(
+    assert next(reports(session))[1].startswith(
         'most detections are rejected, most as duplicate_id: objects of one class')
 
 
@@ -720,7 +720,7 @@ def test_half_of_the_detections_are_not_most_of_them():
     run(session, ODOMETRY, foreign.landmark_list(
         5, 'r1/base_link', {'4': (SEEN, 1.0), '5': (SEEN, -1.0)}))
 
-    assert next(session.counts())[1] == ''
+    assert next(reports(session))[1] == ''
 
 
 def test_tags_beyond_the_range_are_not_named_if_others_are_used():
@@ -729,7 +729,24 @@ def test_tags_beyond_the_range_are_not_named_if_others_are_used():
     run(session, ODOMETRY, foreign.april_tags(5, 'r1/base_link', {
         'tag36h11:4': SEEN, 'tag36h11:5': (9.0, 0.0, 0.0), 'tag36h11:6': (8.0, 0.0, 0.0)}))
 
-    assert next(session.counts())[1] == ''
+    assert next(reports(session))[1] == ''
+
+
+@pytest.mark.parametrize(
+    ('place', 'weight', 'warning'),
+    [(SEEN, -1.0, 'all detections are rejected, most as bad_covariance'),
+     ((200.0, 0.0, 0.0), 1.0, ''), (SEEN, 1.0, '')])
+def test_detections_that_are_rejected_for_seconds_are_named_while_they_are(place, weight, warning):
+    session, reported = session_of(formats=['landmark_list']), []
+    session.receive(ODOMETRY)
+
+    for second in range(30):
+        seen = (place, weight) if 10 <= second < 20 else (SEEN, 1.0)
+        session.receive(foreign.landmark_list(second * 1000, 'r1/base_link', {'4': seen}))
+        list(session.take())
+        reported.append(next(reports(session))[1].partition(':')[0])
+
+    assert (reported[9], reported[19], reported[29]) == ('', warning, '')
 
 
 @pytest.mark.parametrize(('name', 'message'), [
@@ -765,4 +782,4 @@ def test_warnings_say_what_is_missing(messages, warning):
 
     run(session, ODOMETRY, *messages)
 
-    assert next(session.counts())[1] == warning
+    assert next(reports(session))[1] == warning

@@ -15,7 +15,7 @@ from fej_slam_ros.ros.session.detector_session import DetectorSession
 from fej_slam_ros.ros.session.front_end import report
 from fej_slam_ros.sim.lidar import true_ranges
 from helpers.lasers import NO_WALLS, scan_of
-from helpers.ros import drive, mounts, odometry_message, raw, seen
+from helpers.ros import drive, mounts, odometry_message, raw, reports, seen
 
 POSTS = np.array([[3.0, 0.5, 0.2], [-1.0, 2.0, 0.15]])
 UPRIGHT, UPSIDE_DOWN, SIDEWAYS = (0.0, 0.0, 0.5), (np.pi, 0.0, 0.5), (np.pi / 2, 0.0, 0.0)
@@ -94,7 +94,7 @@ def test_landmarks_of_a_laser_at_an_unknown_place_are_in_its_frame_and_the_cure_
 
     assert message.header.frame_id == 'r1/laser'
     assert distances(points(message), POSTS[:, :2]) == pytest.approx([0.0, 0.0], abs=0.03)
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert "'r1/laser'" in warning
     assert '/tf_static' in warning
 
@@ -115,7 +115,7 @@ def test_posts_seen_by_a_turned_laser_stand_still_if_a_parameter_says_where_it_i
     assert last.header.frame_id == 'r1/laser'
     assert distances(transform(np.array([x, 0.0, np.pi / 2]), points(last)), POSTS[:, :2]) == (
         pytest.approx([0.0, 0.0], abs=0.03))
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning == ''
 
 
@@ -171,7 +171,7 @@ def test_scans_without_right_times_are_corrected_by_a_given_duration(time_increm
 
     expected = transform(np.array([0.0, 0.0, -rate * times[-1]]), POSTS[:, :2])
     assert distances(points(message), expected) == pytest.approx([0.0, 0.0], abs=0.03)
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning == ''
 
 
@@ -208,7 +208,7 @@ def test_one_of_two_lasers_at_an_unknown_place_is_named():
         session, front, raw('r1/odom', odometry_message(0)), scan_message(0, 'r1/rear'),
         scan_message(5, 'r1/front'))
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning.startswith(
         "no static transform from the frame 'r1/rear' of the scans to the base frame"
         " 'r1/base_link'")
@@ -220,7 +220,7 @@ def test_a_transform_that_has_come_is_no_longer_reported_as_missing():
 
     run(session, odometry, scan_message(0), link, scan_message(5))
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning == ''
 
 
@@ -249,7 +249,7 @@ def test_what_cannot_be_used_is_counted_and_named(messages, count, warning):
 
     run(session, *messages)
 
-    (_, message, counts), = session.counts()
+    (_, message, counts), = reports(session)
     assert warning in message
     assert counts[count] == (1 if messages else 0)
 
@@ -262,7 +262,7 @@ def test_a_laser_may_be_tilted_by_up_to_two_tenths_of_a_radian(roll, rejected):
 
     run(session, raw('r1/odom', odometry_message(0)), link, scan_message())
 
-    (_, _, counts), = session.counts()
+    (_, _, counts), = reports(session)
     assert (counts.get('scans_tilted', 0), counts['scans']) == (rejected, 1 - rejected)
 
 
@@ -272,7 +272,7 @@ def test_ranges_outside_of_the_limits_of_the_laser_are_named():
 
     run(session, raw('r1/odom', odometry_message(0)), millimetres)
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning.endswith('in metres, and look at intensity_threshold')
 
 
@@ -287,7 +287,7 @@ def test_odometry_that_is_rejected_is_not_taken_for_scans():
 
     run(session, *[raw('r1/odom', bad)] * 3, scan_message(frame='r1/base_link'))
 
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert warning.startswith('most odometry on r1/odom is rejected as bad_covariance')
     assert (counts['odometry_bad_covariance'], counts['scans']) == (3, 1)
 
@@ -296,8 +296,8 @@ def test_mostly_rejected_scans_are_named_with_their_cure():
     session = session_of()
     run(session, raw('r1/odom', odometry_message(0)), *[scan_message(frame='r1/base_link')] * 5)
 
-    (_, warning, _), = session.counts()
-    assert warning.startswith('4 of 5 scans are rejected as late: stamp each scan')
+    (_, warning, _), = reports(session)
+    assert warning.startswith('most scans are rejected, most as late: stamp each scan')
 
 
 def test_without_scans_nothing_else_is_named():
@@ -312,8 +312,40 @@ def test_of_scans_with_several_faults_those_with_the_usual_one_are_counted():
 
     run(session, empty, scan_message(time_increment=-1e-4), empty)
 
-    (_, warning, _), = session.counts()
-    assert warning.startswith('2 of 3 scans are rejected as no_beams')
+    (_, warning, _), = reports(session)
+    assert warning.startswith('all scans are rejected, most as no_beams')
+
+
+EMPTY, NOT_POSITIVE = {'ranges': np.empty(0, np.float32)}, {'twist_covariance': -np.eye(6)}
+
+
+@pytest.mark.parametrize(
+    ('scans', 'odometry', 'named'),
+    [
+        ({}, {}, []),
+        ({}, None, ['the odometry has stopped']),
+        ({}, NOT_POSITIVE, ['most odometry on r1/odom is rejected as bad_covariance']),
+        (None, {}, ['the scans have stopped']),
+        (EMPTY, {}, ['all scans are rejected, most as no_beams']),
+        (EMPTY, None, ['all scans are rejected, most as no_beams', 'the odometry has stopped']),
+        (None, NOT_POSITIVE, ['the scans have stopped',
+                              'most odometry on r1/odom is rejected as bad_covariance']),
+    ])
+def test_input_that_fails_is_named_while_it_does(scans, odometry, named):
+    session, reported = session_of(), []
+    for second in range(30):
+        of_scan, of_odometry = (scans, odometry) if 10 <= second < 20 else ({}, {})
+        for ms in range(second * 1000, (second + 1) * 1000, 200):
+            if of_odometry is not None:
+                session.receive(raw('r1/odom', odometry_message(ms, **of_odometry)))
+            if of_scan is not None:
+                session.receive(scan_message(ms, 'r1/base_link', **of_scan))
+            list(session.take())
+        (_, warnings, _), = session.counts()
+        reported.append([warning.partition(':')[0] for warning in warnings])
+
+    assert reported[9] == reported[29] == []
+    assert reported[19] == named
 
 
 def test_scans_that_wait_for_odometry_count_as_good_ones():
@@ -321,7 +353,7 @@ def test_scans_that_wait_for_odometry_count_as_good_ones():
     for ms in (10, 20, 30, 10, 20):
         session.receive(scan_message(ms, 'r1/base_link'))
 
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert (counts['scans_late'], 'rejected' in warning) == (2, False)
 
 
@@ -333,7 +365,7 @@ def test_single_messages_that_cannot_be_used_are_counted_but_not_named():
     run(session, scan_message(0, 'r1/base_link'), bad, *odometry, *[
         scan_message(ms, 'r1/base_link') for ms in (5500, 5600, 5500)])
 
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert warning == ''
     assert (counts['scans_without_odometry'], counts['odometry_bad_covariance'],
             counts['scans_late']) == (1, 1, 1)
@@ -374,7 +406,7 @@ def test_scans_that_last_shorter_than_the_laser_turns_are_named(times):
             ms, 'r1/base_link', scan, time_increment=time_increment, scan_time=scan_time)
         for ms in range(0, 3000, 200)])
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert ('cover 360 degrees every' in warning) == is_named
 
 
@@ -394,7 +426,7 @@ def test_scans_of_a_laser_that_turns_without_any_time_are_named(sensor):
         scan_message(first + ms, 'r1/base_link', scan, time_increment=0.0, scan_time=0.0)
         for ms in range(100, 900, 100)])
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert ('set scan_duration of the detector' in warning) == is_named
 
 
@@ -420,7 +452,7 @@ def test_scans_that_arrive_before_they_can_be_complete_are_named(case):
             received=(ms + of_scan) * 10**6)
         for ms in range(0, 3000, 100)])
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert named in warning
     assert bool(warning) == bool(named)
 
@@ -433,7 +465,7 @@ def test_scans_of_a_laser_at_a_lower_rate_than_it_turns_are_right():
         scan_message(ms, 'r1/base_link', scan, time_increment=0.1 / 360, scan_time=0.1)
         for ms in range(0, 20_000, 1000)])
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning == ''
 
 
@@ -442,7 +474,7 @@ def test_scans_without_intensities_are_named_where_reflectors_are_wanted():
 
     run(session, scan_message())
 
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert (counts['scans_no_intensities'], 'no_intensities' in warning) == (1, True)
 
 
@@ -451,7 +483,7 @@ def test_radius_limits_that_fit_nothing_are_named():
 
     run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
 
-    (_, warning, _), = session.counts()
+    (_, warning, _), = reports(session)
     assert warning == 'no landmark so far, most segments are rejected as radius'
 
 
@@ -462,9 +494,9 @@ def test_scans_that_wait_for_odometry_are_bounded_and_named():
         record = RobotLaserScan('r1', k * 10**5, few)
         session.receive(raw('r1/scan', outgoing.laser_scan(record)))
 
-    (_, warning, counts), = session.counts()
+    (_, warning, counts), = reports(session)
     assert (counts['scans'], counts['scans_lost']) == (0, 500)
-    assert warning.startswith('2000 scans wait, as they come faster than they are processed')
+    assert warning.startswith('more than 500 scans wait: they come faster than they are processed')
 
 
 def test_many_scans_of_one_robot_do_not_delay_those_of_another():
@@ -485,10 +517,10 @@ def test_diagnostics_have_the_counts_of_each_robot():
     session = session_of()
     run(session, raw('r1/odom', odometry_message(0)), scan_message(frame='r1/base_link'))
 
-    counts = [*session.counts(), ('r2', 'no scans', {})]
+    counts = [*session.counts(), ('r2', ['no scans', 'no odometry'], {})]
     _, diagnostics = report('detector', counts, 7)
 
     status, of_r2 = diagnostics.status
     values = {entry.key: entry.value for entry in status.values}
     assert (status.name, status.level, values['landmarks']) == ('detector: r1', 0, '2')
-    assert (of_r2.level, of_r2.message) == (1, 'no scans')
+    assert (of_r2.level, of_r2.message) == (1, 'no scans; no odometry')
