@@ -138,6 +138,18 @@ def test_an_unknown_parameter_is_a_warning_with_the_nearest_name(domain, tmp_pat
     assert {'gate_probabilty', 'use_gui'}.isdisjoint(names)
 
 
+def test_a_file_without_a_section_for_the_node_is_named(domain, tmp_path):
+    path = tmp_path / 'other.yaml'
+    path.write_text('estimatr: {ros__parameters: {max_delay: 0.7}}\n')
+    estimator = domain.start(
+        'estimator', '--ros-args', '--params-file', str(path), '-p', 'robots:=[r1]')
+    domain.wait_for_reports()
+
+    _, errors = domain.finish(estimator, 2)
+
+    assert f"{path}: no parameters for the node 'estimator', only for /estimatr" in errors
+
+
 def test_strict_parameters_refuse_an_unknown_one(domain, tmp_path):
     path = write_parameters(
         tmp_path / 'own.yaml', **TEAM, gate_probabilty=0.9, strict_parameters=True)

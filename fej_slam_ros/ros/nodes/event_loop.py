@@ -8,7 +8,7 @@ import gc
 from rclpy.executors import Executor
 from rclpy.experimental.events_executor import EventsExecutor
 
-from fej_slam_ros.ros.nodes.ros_process import ros, Stop
+from fej_slam_ros.ros.nodes.ros_process import ros, Stop, warn_of_parameter_files
 from fej_slam_ros.ros.nodes.session_node import SessionNode
 
 #: Longest wait for a message [s]: bounds the delay of autosave and of shutdown after SIGINT.
@@ -19,6 +19,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[Stop], SessionNode]) -> i
     """Serve a new node until SIGINT, SIGTERM or its lifecycle shutdown; return its status."""
     with ros(ros_args) as stopped:
         node = make_node(stopped)
+        warn_of_parameter_files(ros_args, node)
         # Existing objects are permanent, so the garbage collector need not scan them again.
         gc.collect()
         gc.freeze()

@@ -19,7 +19,7 @@ from fej_slam_ros.ros.nodes.event_loop import SPIN_TIMEOUT
 from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 from fej_slam_ros.ros.nodes.qos import front_end_qos, input_qos, overridable
 from fej_slam_ros.ros.nodes.qos_watch import QosWatch
-from fej_slam_ros.ros.nodes.ros_process import MAX_LAST_STEPS_TIME, ros
+from fej_slam_ros.ros.nodes.ros_process import MAX_LAST_STEPS_TIME, ros, warn_of_parameter_files
 from fej_slam_ros.ros.parameters.adapter_settings import AdapterSettings
 from fej_slam_ros.ros.parameters.detector_settings import DetectorSettings
 from fej_slam_ros.ros.parameters.schema import flat_values
@@ -43,6 +43,7 @@ def spin(ros_args: Sequence[str], make_node: Callable[[], 'FrontEndNode']) -> in
     """Run a new node until a signal arrives; return 0."""
     with ros(ros_args) as stopped:
         node = make_node()
+        warn_of_parameter_files(ros_args, node)
         executor = EventsExecutor()
         executor.add_node(node)
         while not stopped.is_set():

@@ -10,6 +10,7 @@ import re
 from time import monotonic
 
 import rclpy
+from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import try_shutdown
 
@@ -17,7 +18,7 @@ from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.interrupts import handled
 from fej_slam_ros.ros.parameters.yaml_bounds import MAX_PARAMETER_FILE
-from fej_slam_ros.ros.parameters.yaml_files import check_for_ros
+from fej_slam_ros.ros.parameters.yaml_files import check_for_ros, fault_for
 
 #: Duration [s] after the request of the end for which waiting steps are processed, so that the
 #: process ends within two seconds.
@@ -93,6 +94,13 @@ def ros(ros_args: Sequence[str]) -> Iterator[Stop]:
             yield stopped
         finally:
             try_shutdown()
+
+
+def warn_of_parameter_files(ros_args: Sequence[str], node: Node) -> None:
+    """Warn of what is wrong with parameter files, such as that none of it is for a node."""
+    for path in _parameter_files(ros_args):
+        if fault := fault_for(path, node.get_fully_qualified_name()):
+            node.get_logger().warning(fault)
 
 
 def first_line(error: Exception) -> str:

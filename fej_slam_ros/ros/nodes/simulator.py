@@ -8,7 +8,7 @@ from fej_slam_ros.core.parameter_kinds import Parameter
 from fej_slam_ros.ros.messages.object_formats import FORMATS
 from fej_slam_ros.ros.nodes.parameter_node import ParameterNode
 from fej_slam_ros.ros.nodes.player import Player
-from fej_slam_ros.ros.nodes.ros_process import ros
+from fej_slam_ros.ros.nodes.ros_process import ros, warn_of_parameter_files
 from fej_slam_ros.ros.session import simulated_input, simulation
 from fej_slam_ros.ros.topic_types import CLOUD, LASER_SCAN, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 from fej_slam_ros.sim.environments import LaserEnvironment, TagEnvironment
@@ -24,6 +24,7 @@ def main(ros_args: Sequence[str]) -> int:
     """Run the node until the world ends or a signal arrives; return 0."""
     with ros(ros_args) as stopped:
         node = SimulatorNode()
+        warn_of_parameter_files(ros_args, node)
         simulated = node.simulated
         player = Player(
             node, _topic_types(simulated), [TRUE_LANDMARKS], simulated.speed, simulated.clock,

@@ -55,15 +55,13 @@ def load_values(
     path: Path, nodes: Sequence[str], warn: Warn = warn_once, namespace: str = '/',
 ) -> dict[str, object]:
     """Return the flat parameters in a ROS parameter file for some nodes, values unchecked."""
-    names = [f'{namespace.rstrip("/")}/{node}' for node in nodes]
     parameters = _parameters(path)
+    names = [f'{namespace.rstrip("/")}/{node}' for node in nodes]
+    if fault := _missing_section(parameters, names):
+        raise UsageError(fault)
     values = {
         name: value for section, name, value in parameters
         if any(_applies(section, node) for node in names)}
-    if not values:
-        others = ', '.join(dict.fromkeys(section for section, _, _ in parameters))
-        only = f', only for {others}' if others else ''
-        raise UsageError(f'no parameters for the node {nodes[-1]!r}{only}: {PLACE}')
     # Offline they have a meaning all the same, but a node would not start with this file.
     for name, value in values.items():
         if _is_mixed(value):
@@ -74,6 +72,15 @@ def load_values(
 def load_current_values(path: Path, nodes: Sequence[str]) -> dict[str, object]:
     """Return the parameters of `load_values` by their current names, without warnings."""
     return with_current_names(load_values(path, nodes, no_warning), no_warning)
+
+
+def fault_for(path: Path, node: str) -> str:
+    """Return what is wrong with a file that ROS accepts for a node, by its full name, or ''."""
+    try:
+        fault = _missing_section(_parameters(path), [node])
+    except UsageError as error:
+        fault = str(error)
+    return fault and f'{path}: {fault}'
 
 
 def check_for_ros(path: Path) -> None:
@@ -125,6 +132,15 @@ def _applies(section: str, node: str) -> bool:
     tokens = section.split('/')[1:]
     return bool(re.fullmatch(
         ''.join(patterns.get(token, f'/{re.escape(token)}') for token in tokens), node))
+
+
+def _missing_section(parameters: Sequence[tuple[str, str, object]], nodes: Sequence[str]) -> str:
+    sections = dict.fromkeys(section for section, _, _ in parameters)
+    if any(_applies(section, node) for section in sections for node in nodes):
+        return ''
+    only = f', only for {", ".join(sections)}' if sections else ''
+    node = nodes[-1].removeprefix('/')
+    return f'no parameters for the node {node!r}{only}: {PLACE}'
 
 
 def _read_yaml(path: Path) -> object:

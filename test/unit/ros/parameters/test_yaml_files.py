@@ -11,7 +11,7 @@ from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.parameters import (
     dump, ESTIMATOR, known_parameters, load, load_parsed, load_values, parse, RunSettings)
 from fej_slam_ros.ros.parameters.detector_settings import parse_detector
-from fej_slam_ros.ros.parameters.yaml_files import check_for_ros
+from fej_slam_ros.ros.parameters.yaml_files import check_for_ros, fault_for
 from helpers.optional import given
 from helpers.paths import ROOT
 from helpers.settings import TRICKY_NAMES, valid_settings
@@ -131,6 +131,28 @@ def test_a_mistake_in_a_file_is_explained_with_its_path(file, text, sentence):
     path = file(text)
     with pytest.raises(UsageError, match=f'^{re.escape(str(path))}: .*{re.escape(sentence)}'):
         load(path)
+
+
+@pytest.mark.parametrize('section', ['/**', '/fleet/**', '/*/estimator', 'fleet/estimator'])
+def test_nothing_is_wrong_with_a_file_with_a_section_for_a_node(file, section):
+    path = file(f'{section}: {{ros__parameters: {{robots: [r1]}}}}\n')
+
+    assert fault_for(path, '/fleet/estimator') == ''
+
+
+@pytest.mark.parametrize(
+    ('text', 'sentence'),
+    [
+        ('estimator: {ros__parameters: {robots: [r1]}}\n',
+         "no parameters for the node 'fleet/estimator', only for /estimator: put them under /**:"),
+        ('/**: {ros__parameters: {r1: {max_speed: 1.0}, r1.max_speed: 2.0}}\n',
+         "parameter 'r1.max_speed' is given twice"),
+    ],
+)
+def test_a_mistake_in_a_file_that_ros_accepts_is_explained_with_its_path(file, text, sentence):
+    path = file(text)
+
+    assert fault_for(path, '/fleet/estimator').startswith(f'{path}: {sentence}')
 
 
 def test_a_parameter_that_is_given_twice_is_named_without_its_values(file):
