@@ -102,8 +102,12 @@ BEARING_BIAS = numbers('a number', Range(-3.2, 3.2))
 ROBOT_ID = numbers('an integer', Range(0, 2**31 - 1), element=int)
 FLAG = Kind('true or false', bool)
 # Text that YAML writes without escapes.
-TEXT = Kind(
-    'one line of text', str, allowed=re.compile(r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*').fullmatch)
+TEXT_PATTERN = r'[^\x00-\x1f\x7f-\x9f\u2028\u2029]*'
+TEXT = Kind('one line of text', str, allowed=re.compile(TEXT_PATTERN).fullmatch)
+# Only shells replace ~.
+PATH = replace(
+    TEXT, expected="a path that does not begin with '~', in one line",
+    allowed=re.compile(f'(?!~){TEXT_PATTERN}').fullmatch)
 FRAME = Kind(
     "a frame name without spaces and leading '/'", str,
     allowed=re.compile(rf'(?!/)[^\s\x00-\x1f\x7f-\x9f]{{1,{MAX_FRAME}}}').fullmatch)

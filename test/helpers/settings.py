@@ -5,7 +5,7 @@
 from ast import literal_eval
 from dataclasses import fields, replace
 
-from fej_slam_ros.core.parameter_kinds import FRAME, parameters_of, TEXT
+from fej_slam_ros.core.parameter_kinds import FRAME, parameters_of, PATH, TEXT
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from fej_slam_ros.ros.parameters import NodeSettings, RESERVED_NAMES, RunSettings
 from helpers.optional import strategies as st
@@ -29,6 +29,8 @@ def of_kind(kind):
     """Return the strategy of values as settings store them."""
     if kind is TEXT:
         element = LINES
+    elif kind is PATH:
+        element = LINES.filter(lambda line: not line.startswith('~'))
     elif kind is FRAME:
         element = FRAMES
     elif kind.element is bool:

@@ -8,8 +8,8 @@ from pathlib import Path
 import re
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, FRAME, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, POSITIVE, Range,
-    ROBOT_ID, ROBOT_NAMES, TEXT, TEXTS)
+    FLAG, FRAME, Kind, NOT_NEGATIVE, numbers, one_of, Parameter, parameter, PATH, POSITIVE,
+    Range, ROBOT_ID, ROBOT_NAMES, TEXT, TEXTS)
 from fej_slam_ros.detection.objects import ObjectNoise
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros.messages.object_formats import FORMATS, ObjectFormat
@@ -74,7 +74,7 @@ class AdapterSettings:
         '', one_of('', 'x', 'y', 'z'),
         'axis to negate where the messages are in a left-handed frame')
     ids_file: str = parameter(
-        '', TEXT, 'JSON file of the IDs of names, read at the start and completed; empty: none')
+        '', PATH, 'JSON file of the IDs of names, read at the start and completed; empty: none')
     tf_topics: str = parameter(
         'both', one_of('shared', 'robot', 'both'),
         'topics of transforms: /tf and /tf_static, <robot>/tf and <robot>/tf_static, or both')

@@ -5,8 +5,8 @@
 from dataclasses import dataclass, field
 
 from fej_slam_ros.core.parameter_kinds import (
-    FLAG, FRAME, NOT_NEGATIVE, numbers, one_of, parameter, PERIOD, POSITIVE, Range, ROBOT_NAMES,
-    TEXT, TEXTS)
+    FLAG, FRAME, NOT_NEGATIVE, numbers, one_of, parameter, PATH, PERIOD, POSITIVE, Range,
+    ROBOT_NAMES, TEXTS)
 from fej_slam_ros.core.settings import Settings
 
 
@@ -36,13 +36,13 @@ class CommonNodeSettings:
     map_period: float = parameter(
         1.0, PERIOD, 'period of the publication of paths, maps and markers', 's', changeable=True)
     output: str = parameter(
-        '', TEXT, 'folder for the result files of a live run; empty: no files')
-    checkpoint: str = parameter('', TEXT, 'file that a live run is saved to; empty: none')
+        '', PATH, 'folder for the result files of a live run; empty: no files')
+    checkpoint: str = parameter('', PATH, 'file that a live run is saved to; empty: none')
     autosave_period: float = parameter(
         0.0, NOT_NEGATIVE, 'period of saving a live run; 0: only on request', 's',
         changeable=True)
     restore: str = parameter(
-        '', TEXT,
+        '', PATH,
         "checkpoint to continue from; empty: new run. If it is the file of 'checkpoint' and does"
         ' not exist yet, a new run starts')
     autostart: bool = parameter(
@@ -72,7 +72,7 @@ class SmootherNodeSettings(CommonNodeSettings):
     exchange_period: float = parameter(
         0.5, PERIOD, 'period of the hello messages to peers', 's')
     exchange_file: str = parameter(
-        '', TEXT, 'file of all measurements known, from which the smoother continues after a'
+        '', PATH, 'file of all measurements known, from which the smoother continues after a'
         ' restart; empty: none')
 
 
@@ -81,7 +81,7 @@ class EstimatorNodeSettings(CommonNodeSettings):
     """Parameters of the node of the estimator; the content of a prior map decides the result."""
 
     prior_landmarks: str = parameter(
-        '', TEXT,
+        '', PATH,
         'file of surveyed landmarks, or landmarks.csv or checkpoint of an earlier run, that are in'
         ' map from the start; empty: none')
     relative_poses: tuple[str, ...] = parameter(
