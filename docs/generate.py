@@ -136,7 +136,9 @@ REASONS = {
         'scan or `set_pose` after the last odometry of the robot, at the end'),
     RejectionReason.LATE: 'older than the state of the robot',
     RejectionReason.BEFORE_CHECKPOINT: 'older than the stamps that a restored run remembers',
-    RejectionReason.FUTURE: 'more than `future_limit` ahead of reception',
+    RejectionReason.FUTURE: (
+        'more than `future_limit` ahead of reception, or'
+        ' [far ahead](estimator.md#time-that-jumps-back) of the odometry before and after it'),
     RejectionReason.BEFORE_TIME_JUMP: 'from the time before a jump, received after it',
     RejectionReason.AFTER_TIME_JUMP: 'time has jumped back and `on_time_jump` is `refuse`',
     RejectionReason.GATED: 'squared Mahalanobis distance beyond `gate_probability`',

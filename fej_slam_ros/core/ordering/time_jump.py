@@ -8,10 +8,15 @@ compared and no clock is read, so a replay detects the same jumps as the live ru
 use a record that is older than the newest of its kind by more than ``max_delay`` +
 ``stale_after``. Such a record is held until its cause is known: late data or the clock of a single
 robot if the stamps of other robots continue, a second pass if none do.
+
+After a single stray stamp ahead of time, all that follows would look like a second pass. So
+odometry that is as far ahead of the whole team is held until the next of its robot shows whether
+the team has paused or the stamp is wrong.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from fej_slam_ros.core.ordering.consumer import Consumer
 from fej_slam_ros.core.records import AnyScan, NS, Odometry, PosePrior, TruePose
@@ -84,14 +89,27 @@ class TimeJumpDetector:
         self._resets = resets
         self._newest: dict[Source, int] = {}
         self._backward: dict[str, BackwardOdometry] = {}
+        # Odometry far ahead of the team, and the robots whose latest but one was held for that.
+        self._ahead: dict[str, tuple[Odometry, int | None]] = {}
+        self._have_paused: set[str] = set()
+        # Newest stamps of odometry of robots that have sent none since a checkpoint [ns].
+        self._before: dict[str, int] = {}
         self._earlier_end = 0
         self._pending: set[Source] = set()
 
     def add(self, record: TimedRecord, received: int | None) -> bool:
         """Pass on, hold or reject a record; return whether the consumer has accepted it."""
-        is_usual = record.stamp >= self._newest.get(_source(record), record.stamp)
-        if is_usual and not (self.jump or self._pending or self._backward):
+        newest = self._newest.get(_source(record), record.stamp)
+        is_usual = newest <= record.stamp <= newest + self._limit
+        if is_usual and not (
+                self.jump or self._pending or self._backward or self._ahead or self._before):
             return self._pass_on(record, received)
+        if isinstance(record, Odometry):
+            self._settle_ahead(record)
+            if self._is_far_ahead(record, received):
+                self._have_paused.add(record.robot)
+                self._ahead[record.robot] = record, received
+                return False
         if self.jump is not None:
             self._reject(record, RejectionReason.AFTER_TIME_JUMP)
         elif self._is_of_earlier_run(record):
@@ -116,21 +134,36 @@ class TimeJumpDetector:
         """Reject held records of a robot that left, and ignore its stamps from now on."""
         for record, _ in self._take_held(robot):
             self._reject(record, RejectionReason.LEFT)
+        if robot in self._ahead:
+            self._reject(self._ahead.pop(robot)[0], RejectionReason.LEFT)
         self._newest = {source: n for source, n in self._newest.items() if source[0] != robot}
+        self._before.pop(robot, None)
+        self._have_paused.discard(robot)
 
-    def resume(self, held: Sequence[Held]) -> None:
+    def snapshot(self) -> dict[str, Any]:
+        """Return the state for a checkpoint."""
+        newest = {robot: n for (robot, kind), n in self._newest.items() if kind is Odometry}
+        return {
+            'held': list(self.held), 'ahead': [*self._ahead.values()],
+            'have_paused': sorted(self._have_paused), 'newest': self._before | newest}
+
+    def resume(self, stored: dict[str, Any]) -> None:
         """
         Continue from a checkpoint with the records that were held.
 
-        They are passed on as data of this pass, however late: input from before a checkpoint may
-        be sent again, which is no second pass.
+        Those that were behind are passed on as data of this pass, however late: input from before
+        a checkpoint may be sent again, which is no second pass.
 
         """
-        for record, received in held:
+        for record, received in stored['held']:
             self._consumer.add(record, received)
+        self._ahead = {held[0].robot: held for held in stored['ahead']}
+        self._have_paused = {*stored['have_paused']}
+        self._before = stored['newest']
 
     def close(self) -> None:
         """Pass on the held records: the input has ended without a second pass."""
+        self._pass_on_ahead()
         for robot in list(self._backward):
             self._pass_on_held(robot)
 
@@ -139,6 +172,33 @@ class TimeJumpDetector:
         """Return how far a record may be behind the newest of its kind [ns]."""
         settings = self._consumer.settings
         return round((settings.max_delay + settings.stale_after) * NS)
+
+    def _settle_ahead(self, record: Odometry) -> None:
+        """Reject held odometry of a robot if its next follows that before it; else pass it on."""
+        if record.robot in self._ahead:
+            ahead, received = self._ahead.pop(record.robot)
+            follows = self._latest(record) - record.stamp <= self._limit
+            if follows and ahead.stamp - record.stamp > self._limit:
+                self._reject(ahead, RejectionReason.FUTURE)
+            else:
+                self._pass_on(ahead, received)
+
+    def _is_far_ahead(self, record: Odometry, received: int | None) -> bool:
+        """Return whether odometry is far ahead of all, and is usually not."""
+        limit = self._limit
+        if record.stamp - self._latest(record) <= limit:
+            self._have_paused.discard(record.robot)
+            return False
+        now = max([self._time(), *self._before.values()])
+        return (
+            record.stamp - now > limit
+            and not (self.jump or self._backward or record.robot in self._have_paused)
+            and not self._consumer.settings.is_future(record.stamp, received))
+
+    def _latest(self, record: Odometry) -> int:
+        """Return the newest stamp of a robot before its next odometry, that of this if none."""
+        return self._newest.get(
+            _source(record), self._before.get(record.robot, record.stamp))
 
     def _is_backward(self, record: TimedRecord) -> bool:
         """
@@ -162,8 +222,15 @@ class TimeJumpDetector:
         """Pass on a record; odometry may show that only other robots have jumped back."""
         source = _source(record)
         self._pending.discard(source)
+        if self._before and isinstance(record, Odometry):
+            self._before.pop(record.robot, None)
         if not self._consumer.settings.is_future(record.stamp, received):
-            self._newest[source] = max(record.stamp, self._newest.get(source, record.stamp))
+            stamp = record.stamp
+            if not isinstance(record, Odometry):
+                # A stamp ahead of odometry may be a stray one.
+                odometry = self._newest.get((record.robot, Odometry), stamp)
+                stamp = min(stamp, odometry + self._limit)
+            self._newest[source] = max(stamp, self._newest.get(source, stamp))
             if self._backward and isinstance(record, Odometry):
                 self._pass_on_held(record.robot)
                 self._pass_on_single_jumps()
@@ -196,6 +263,7 @@ class TimeJumpDetector:
                 odometry.last - odometry.first <= MAX_WAIT_FOR_OTHERS
                 for odometry in back.values()):
             return
+        self._pass_on_ahead()
         now = self._time()
         pending = self._newest.keys() - {_source(record) for record, _ in self.held}
         if not self._resets:
@@ -218,6 +286,12 @@ class TimeJumpDetector:
         """Pass on the held records of a robot as data of this pass, however late."""
         for record, received in self._take_held(robot):
             self._consumer.add(record, received)
+
+    def _pass_on_ahead(self) -> None:
+        """Pass on odometry of robots that have sent none after it."""
+        for record, received in self._ahead.values():
+            self._consumer.add(record, received)
+        self._ahead.clear()
 
     def _take_held(self, robot: str) -> list[Held]:
         """Remove and return the held records of a robot."""

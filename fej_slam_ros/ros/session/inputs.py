@@ -139,7 +139,7 @@ class Inputs:
         """Return the state for a checkpoint as plain data."""
         return {
             'unused': self.unused,
-            'held': to_plain([*self.time_jump_detector.held], self._consumer.settings),
+            'time_jump': to_plain(self.time_jump_detector.snapshot(), self._consumer.settings),
             **self.frames.snapshot(),
             'mounts': self._mounts.snapshot(),
             'held_odometry': {
@@ -153,7 +153,8 @@ class Inputs:
     def restore(self, stored: dict[str, Any]) -> None:
         """Restore the state of a snapshot."""
         self.unused.update(stored['unused'])
-        self.time_jump_detector.resume(from_plain(stored['held'], self._consumer.settings))
+        self.time_jump_detector.resume(
+            from_plain(stored['time_jump'], self._consumer.settings))
         self.frames.restore(stored)
         self._mounts.restore(stored.get('mounts', {}))
         self.start_check = StartCheck({

@@ -58,7 +58,7 @@ CURES: dict[Reason, tuple[str, str]] = {
             'raise max_delay (now {max_delay:g} s), or, if its stamps are seconds behind those of'
             ' other robots, set its clock')),
     Reason.FUTURE: (
-        'stamp beyond future_limit',
+        'stamp beyond future_limit, or far ahead of the odometry before and after it',
         'set the clock of the robot, or use_sim_time in simulation; raise future_limit for a bag'),
     Reason.BEFORE_TIME_JUMP: (
         'message from before a time jump', 'record without playing in a loop'),

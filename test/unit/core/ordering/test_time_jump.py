@@ -294,6 +294,76 @@ def test_after_a_stamp_from_the_future_the_present_is_no_jump():
     assert counts(run) == {'future': 2}
 
 
+@pytest.mark.parametrize('team', [('r1',), ('r1', 'r2')])
+@pytest.mark.parametrize('ahead', [1500, 3000, 3_600_000])
+def test_a_single_stamp_ahead_changes_no_bit(team, ahead):
+    drive = [m for m in PASS if m.topic.startswith(team)]
+    # Received long after all stamps, as when a bag is played: no clock shows the stray stamp.
+    stray = later([raw_record(odometry('r1', 2000 + ahead))], 1e6)
+
+    half = len(drive) // 2
+
+    run, = runs_of([*drive[:half], *stray, *drive[half:]], *team)
+
+    assert hashes([run]) == hashes(runs_of(drive, *team))
+    assert counts(run) == {'future': 1}
+    assert run.inputs.time_jump_detector.jump is None
+
+
+def test_scans_after_one_with_a_stamp_ahead_wait_for_nothing():
+    run = EstimatorSession(run_settings(), None)
+    feed(run, PASS[:80])
+    feed(run, later([raw_record(scan('r1', 5000, []))], -3.0))
+
+    feed(run, messages_of('r1', PASS[80:120]))
+
+    assert run.inputs.time_jump_detector.held == []
+
+
+@pytest.mark.parametrize('team', [('r1',), ('r1', 'r2')])
+def test_nothing_is_lost_after_a_pause_of_all_robots(team):
+    rest = [raw_record(odometry(name, ms)) for ms in range(9000, 10_000, 100) for name in team]
+    odometry_only = [m for m in PASS if m.topic.endswith('odom') and m.topic.startswith(team)]
+
+    run, = runs_of([*odometry_only, *rest], *team)
+
+    assert counts(run) == {}
+    assert [run.estimator.used(name) for name in team] == [51] * len(team)
+
+
+def test_the_last_odometry_after_a_pause_is_used_if_the_input_ends_or_begins_again():
+    last = raw_record(odometry('r1', 9000))
+
+    closed, = runs_of([*PASS, last])
+    ended, begun = runs_of([*PASS, last, *later(PASS)], on_time_jump='reset')
+
+    assert hashes([closed, begun]) == [hashes([ended])[0], HASH]
+    assert [counts(run) for run in (closed, ended, begun)] == [{}] * 3
+    assert closed.estimator.used('r1') == ONE_PASS.estimator.used('r1') + 1
+
+
+def test_rare_odometry_is_not_held():
+    run = EstimatorSession(run_settings('r1'), None)
+    held = []
+
+    for ms in range(0, 20_000, 2000):
+        feed(run, [raw_record(odometry('r1', ms))])
+        held.append(len(run.inputs.time_jump_detector.snapshot()['ahead']))
+
+    assert held == [0, 1, *[0] * 8]
+
+
+def test_odometry_that_is_held_is_counted_when_its_robot_leaves():
+    left = []
+    for messages in PASS, [*PASS, raw_record(odometry('r2', 9000))]:
+        run = EstimatorSession(run_settings(), None)
+        feed(run, messages)
+        run.change_team(['r1'])
+        left.append(counts(run)['left'])
+
+    assert left[1] == left[0] + 1
+
+
 SIMULATED = [raw_record(record) for record in simulation.parse(
     {'loops': 1, 'steps_per_loop': 40, 'landmarks': 12, 'rate': 5}).records()]
 
