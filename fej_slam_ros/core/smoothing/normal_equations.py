@@ -25,7 +25,9 @@ MIN_PIVOT_RATIO = 1e-13
 #: The two nodes (k,) of each of k measurements, by kind of measurement.
 Links = Sequence[tuple[Indices, Indices]]
 
-UNDETERMINED = 'the measurements do not determine all poses and landmarks'
+UNDETERMINED = (
+    'the measurements do not determine all poses and landmarks, or odometry is nearly exact, so'
+    ' that rounding hides the others')
 
 
 class NormalEquations:
