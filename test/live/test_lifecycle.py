@@ -83,6 +83,16 @@ def test_autostart_activates_the_node_by_default(domain, parameters, expected):
     assert state(domain) == expected
 
 
+def test_a_node_that_waits_to_be_configured_says_so(domain):
+    estimator = domain.start(
+        'estimator', '--ros-args', '-p', 'robots:=[r1]', '-p', 'autostart:=false')
+    assert state(domain) == 'unconfigured'
+
+    _, log = domain.finish(estimator, 2)
+
+    assert 'ros2 lifecycle set /estimator configure' in log
+
+
 def test_transitions_lead_to_their_states_and_only_an_active_node_subscribes(domain):
     domain.estimate(**WAITING)
 

@@ -101,6 +101,11 @@ class SessionNode(SettingsNode):
         if self._settings.node.autostart:
             self.transition(self.trigger_configure)
             self.transition(self.trigger_activate)
+        else:
+            name = self.get_fully_qualified_name()
+            self.get_logger().info(
+                'not started, as autostart is false: configure and activate it, for example by'
+                f' ros2 lifecycle set {name} configure')
         if self._lacks_tf():
             self.get_logger().info(
                 'transforms are not published on /tf because tf2_msgs is missing: install'

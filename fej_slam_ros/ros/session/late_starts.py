@@ -178,7 +178,7 @@ class LateStarts(StartCheck):
             self._add_line(
                 LogSeverity.INFO,
                 f'{robot} had moved by [{x:.2f}, {y:.2f}, {phi:.2f}] before its first odometry was'
-                f' received ({missed} messages missed): it starts that far from its start pose')
+                f' received (missed messages: {missed}): it starts that far from its start pose')
 
     def _void(self, robot: str, reason: str) -> None:
         if robot == self._estimator.settings.anchor and not self._estimator.groups.is_map_given():
