@@ -57,7 +57,7 @@ class OutputLock:
     def of_file(cls, path: Path) -> 'OutputLock':
         """Lock a file, or the folder of a bag; UsageError if the path has no name to lock."""
         if not path.name:
-            raise UsageError(f"'{path}' is not the name of a file or folder that can be written: give another one")
+            raise UsageError(f"'{path}' is not the name of a file to write: give one")
         return cls(path, path.with_name(f'.{path.name}.lock'))
 
     @classmethod

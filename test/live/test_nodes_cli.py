@@ -99,6 +99,19 @@ def test_a_rule_that_ros_refuses_is_rejected_with_its_form(capfd, option, rule, 
     assert form in error
 
 
+@pytest.mark.parametrize(('verb', 'kind'), [
+    ('estimator', 'odom'), ('smoother', 'robots'), ('detector', 'scan')])
+def test_one_topic_for_two_robots_is_rejected(capfd, verb, kind):
+    rules = '-r', f'r1/{kind}:=/{kind}', '-r', f'r2/{kind}:=/{kind}'
+
+    assert run_verb(verb, '--ros-args', '-p', 'robots:=[r1, r2]', *rules) == 2
+
+    error = capfd.readouterr().err.splitlines()[-1]
+    assert error == (
+        f"{verb}: the topics 'r1/{kind}' and 'r2/{kind}' are both remapped to /{kind}: give each"
+        ' robot its own')
+
+
 @pytest.mark.parametrize(('name', 'fault'), [('.', 'is a folder'), ('none', 'does not exist')])
 def test_a_parameter_file_that_is_none_is_rejected_with_the_reason(tmp_path, capfd, name, fault):
     path = tmp_path / name

@@ -87,5 +87,5 @@ def test_a_folder_with_files_stays(tmp_path):
 
 @pytest.mark.parametrize('path', ['', '.', '/'])
 def test_a_path_without_a_name_is_no_file(path):
-    with pytest.raises(UsageError, match='is not the name of a file or folder that can be written'):
+    with pytest.raises(UsageError, match='is not the name of a file to write: give one'):
         OutputLock.of_file(Path(path))

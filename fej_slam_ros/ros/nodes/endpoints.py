@@ -19,7 +19,10 @@ from std_srvs.srv import Trigger
 from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.ros.nodes.ros_process import first_line
 from fej_slam_ros.ros.parameters.values import shortened
+from fej_slam_ros.ros.topic_types import MEASUREMENT_TOPICS
 
+#: Last parts of the names of topics with data of sensors of one robot.
+SENSOR_TOPICS = {*MEASUREMENT_TOPICS, 'scan'}
 #: Longest wait for acknowledgements of the last messages [s]: above the DDS heartbeat of 3 s.
 MAX_ACK_WAIT = 4.0
 #: Wait [s] for best-effort subscribers, which acknowledge nothing, before publishers end.
@@ -29,11 +32,21 @@ URGENCY_CHECK_PERIOD = Duration(seconds=0.05)
 
 
 def check_topic_names(node: Node, topics: Iterable[str]) -> None:
-    """Raise UsageError for a name that is none in ROS, or not in this namespace, or remapped."""
-    checked = ''
+    """
+    Raise UsageError for a name that is none in ROS, or not in this namespace, or remapped.
+
+    Remapped measurements of two robots may not have one name, either.
+
+    """
+    checked, measured = '', dict[str, str]()
     try:
         for checked in topics:
-            node.resolve_topic_name(checked)
+            name = node.resolve_topic_name(checked)
+            if checked.rpartition('/')[2] in SENSOR_TOPICS and (
+                    other := measured.setdefault(name, checked)) != checked:
+                raise UsageError(
+                    f'the topics {other!r} and {checked!r} are both remapped to {name}: give each'
+                    ' robot its own')
     except (RuntimeError, NameValidationException) as error:
         raise UsageError(
             f'ROS refuses the topic {shortened(checked)!r} ({first_line(error)}): choose other or'

@@ -41,10 +41,9 @@ class TeamEndpoints:
         """Check the names of the topics of robots while the team is as it was."""
         member = next(iter(session.consumer.robots))
         topics = [*session.outputs.topics, *_input_types(session), f'{member}/relocalize']
-        for name in parameters.robot_names(names):
-            check_topic_names(self._node, (
-                f'{name}/{topic.removeprefix(f"{member}/")}' for topic in topics
-                if topic.startswith(f'{member}/')))
+        check_topic_names(self._node, (
+            f'{name}/{topic.removeprefix(f"{member}/")}' for topic in topics
+            if topic.startswith(f'{member}/') for name in parameters.robot_names(names)))
 
     def close(self) -> None:
         """Destroy the outputs and services of all robots; the inputs end with the activity."""
