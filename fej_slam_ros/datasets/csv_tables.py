@@ -19,7 +19,7 @@ from typing import TypeVar
 import numpy as np
 
 from fej_slam_ros.core.definiteness import is_definite, is_semidefinite
-from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, symmetric
+from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, Stamps, symmetric
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
@@ -52,6 +52,10 @@ COLUMNS = {
 
 #: Share of rows that step back in time above which they are not in the order of recording.
 MAX_SHARE_BACK = 0.05
+#: Shortest usual time [ns] between odometry: no sensor is faster, but units are mistaken.
+MIN_STEP = 10_000
+#: Time [ns] without rows, a day, before or after which up to this many rows have wrong stamps.
+MAX_STEP, MAX_STRAYS = 24 * 3600 * NS, 10
 #: Robot and stamp [ns].
 Event = tuple[str, int]
 RowT = TypeVar('RowT')
@@ -82,11 +86,12 @@ def tables(records: Iterable[Record]) -> dict[str, list[Sequence[object]]]:
     return {name: [COLUMNS[name], *rows[name]] for name in COLUMNS if name in rows}
 
 
-def read(folder: Path) -> list[Record]:
+def read(folder: Path, repeated: Counter[str]) -> list[Record]:
     """
     Return the records in a folder in the order of stamps, the true landmarks first.
 
-    A UserError says that there is no odometry, or that a row is damaged.
+    Observations that repeat another one of their stamp are left out, and counted by the table. A
+    UserError says that there is no odometry, or that a row is damaged.
 
     """
     require_folder(folder, 'odometry.csv')
@@ -97,9 +102,11 @@ def read(folder: Path) -> list[Record]:
             f' {",".join((*EVENT_COLUMNS, *POSE))}')
     _require_one_clock(folder, records)
     records += (
-        Scan(*event, seen) for event, seen in _scans(_rows(folder / 'landmarks.csv', _landmark)))
+        Scan(*event, seen)
+        for event, seen in _scans(folder / 'landmarks.csv', _landmark, repeated))
     records += (
-        RobotScan(*event, seen) for event, seen in _scans(_rows(folder / 'robots.csv', _robot)))
+        RobotScan(*event, seen)
+        for event, seen in _scans(folder / 'robots.csv', _robot, repeated))
     records += _rows(folder / 'pose_priors.csv', _pose_prior)
     _require_odometry(folder, records)
     records += _rows(folder / 'ground_truth.csv', _true_pose)
@@ -184,6 +191,8 @@ def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
                 f'{folder / "odometry.csv"}: all {len(recorded)} rows of {robot} have the same'
                 ' time: export it with all its digits, or as stamp_ns')
         of_robot = np.array(recorded)
+        if fault := _unit_or_stray(np.unique(of_robot)):
+            raise UserError(f'{folder / "odometry.csv"}, rows of {robot}: {fault}')
         if len(steps_back(of_robot)) > max(MAX_SHARE_BACK * len(of_robot), 1):
             continue
         rows = breaks(of_robot)
@@ -194,6 +203,22 @@ def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
                 f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]},'
                 ' to a time that has rows before: its clock was set back, or recordings were'
                 ' joined; correct the stamps, or convert each part on its own')
+
+
+def _unit_or_stray(stamps: Stamps) -> str:
+    """Return what is wrong with the distances of ascending stamps of odometry, or ''."""
+    steps = np.diff(stamps)
+    if len(steps) >= MAX_STRAYS and np.median(steps) < MIN_STEP:
+        return (
+            f'their times are {np.median(steps):.0f} ns apart: give stamp_ns in nanoseconds, or a'
+            ' column time in seconds')
+    for after in (np.flatnonzero(steps > MAX_STEP) + 1).tolist():
+        is_last = after > len(stamps) - after
+        if min(after, len(stamps) - after) <= MAX_STRAYS and 2 * after != len(stamps):
+            return (
+                f'stamp_ns {stamps[after if is_last else after - 1]} is'
+                f' {steps[after - 1] / MAX_STEP:.0f} days from most of them: correct or remove it')
+    return ''
 
 
 def _scan_rows(
@@ -221,9 +246,7 @@ def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
                 if count > 1 and name.isidentifier():
                     raise ValueError(f'it has the column {name!r} twice')
             for cells in reader:
-                if any(cells.pop(None, ())):
-                    raise ValueError(
-                        'it has more cells than the first line; decimals are written with a point')
+                _require_whole(cells, reader.fieldnames or ())
                 yield parse(cells)
         except KeyError as column:
             raise UserError(
@@ -231,6 +254,23 @@ def _rows(path: Path, parse: Callable[[Cells], RowT]) -> Iterator[RowT]:
                 f' commas: {",".join(reader.fieldnames or ())[:80]!r}') from None
         except (ValueError, csv.Error, UserError) as error:
             raise UserError(f'{path}: correct line {reader.line_num}: {error}') from None
+
+
+def _require_whole(cells: dict[str | None, str | None], columns: Sequence[str]) -> None:
+    """
+    Raise a `ValueError` if a row has not as many cells as the first line.
+
+    A row that ends after its stamp is a scan without observations.
+
+    """
+    # A cell of the first line may be lacking, too, which is for the parser to name.
+    if any(cells.pop(None, None) or ()) and set(columns) & {'robot', 'id'}:
+        raise ValueError(
+            'it has more cells than the first line; decimals are written with a point')
+    missing = next((name for name in columns if cells[name] is None), None)
+    given = {name for name in columns if cells[name] is not None}
+    if missing is not None and given not in ({'robot', 'stamp_ns'}, {'robot', 'time'}):
+        raise ValueError(f'it ends before {missing}; cells without a value are empty')
 
 
 def _event(cells: Cells) -> Event:
@@ -330,9 +370,19 @@ def _is_definite_or_unknown(R: Array) -> bool:
 
 
 def _scans(
-    rows: Iterable[tuple[Event, ObservationT | None]]
+    path: Path, parse: Callable[[Cells], tuple[Event, ObservationT | None]],
+    repeated: Counter[str],
 ) -> Iterator[tuple[Event, tuple[ObservationT, ...]]]:
     """Yield the scans in consecutive rows of one robot and stamp."""
-    for event, of_event in groupby(rows, lambda row: row[0]):
-        for scan in divided(observation for _, observation in of_event if observation is not None):
+    for event, of_event in groupby(_rows(path, parse), lambda row: row[0]):
+        seen = [observation for _, observation in of_event if observation is not None]
+        distinct = {_content(observation): observation for observation in seen}
+        repeated[path.name] += len(seen) - len(distinct)
+        for scan in divided(distinct.values()):
             yield event, scan
+
+
+def _content(observation: Observation | RobotObservation) -> tuple[int | str, bytes, bytes]:
+    """Return what no other observation at a stamp has in common."""
+    name = observation.id if isinstance(observation, Observation) else observation.observed
+    return name, observation.z.tobytes(), observation.R.tobytes()

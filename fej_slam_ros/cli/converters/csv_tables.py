@@ -12,6 +12,7 @@ docs/data.md has all columns.
 from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import chain
 
 import numpy as np
 
@@ -30,9 +31,12 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def convert(arguments: Namespace) -> None:
     """Write the bag and print the number of its records."""
-    records = csv_tables.read(arguments.input)
+    repeated: Counter[str] = Counter()
+    records = csv_tables.read(arguments.input, repeated)
     settings = csv_tables.settings(records)
-    write(records, settings, arguments, _report(records, settings))
+    write(records, settings, arguments, chain(_report(records, settings), (
+        f'rows of {name} that repeat another of their stamp, and are left out: {count}'
+        for name, count in repeated.items() if count)))
 
 
 def _report(records: Iterable[Record], settings: Settings) -> Iterator[str]:

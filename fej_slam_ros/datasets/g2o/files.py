@@ -124,10 +124,15 @@ class _Reader:
                 for robot, k in zip(names[::2], names[1::2]))
 
     def _pose(self, words: list[str]) -> None:
-        self.graph.poses[int(words[0])] = _numbers(words[1:], 3)
+        self._add_vertex(self.graph.poses, words, 3)
 
     def _point(self, words: list[str]) -> None:
-        self.graph.points[int(words[0])] = _numbers(words[1:], 2)
+        self._add_vertex(self.graph.points, words, 2)
+
+    def _add_vertex(self, vertices: dict[int, Array], words: list[str], count: int) -> None:
+        values = _numbers(words[1:], count)
+        if not np.array_equal(vertices.setdefault(int(words[0]), values), values):
+            raise ValueError(f'vertex {words[0]} has other values in a line before')
 
     def _fix(self, words: list[str]) -> None:
         self.graph.fixed.extend(map(int, words))

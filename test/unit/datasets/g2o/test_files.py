@@ -125,7 +125,7 @@ def test_comments_and_empty_lines_are_skipped_and_other_lines_counted(tmp_path):
     'EDGE_SE2 0 1 1 0 0 1 0 0 1 0', 'EDGE_SE2 0 1 nan 0 0 1 0 0 1 0 1', 'VERTEX_SE2 0 x 0 0',
     'EDGE_SE2 0 1 1 0 0 1 0 0 -1 0 1', 'EDGE_SE2 0 1 1 0 0 0 0 0 0 0 1', 'EDGE_SE2_XY 0',
     'EDGE_SE2 0 1 1 0 0 1 0 0 1 0 -1', 'BR 0 1 0 2 -0.1 0.2', 'LANDMARK 0 1 1 1 0 0 0',
-    'VERTEX_SE2', 'FIX x', '# fej_slam POSE x', '# fej_slam POSE 1 r1 -5',
+    'VERTEX_SE2', 'VERTEX_SE2 0 0 0 1', 'FIX x', '# fej_slam POSE x', '# fej_slam POSE 1 r1 -5',
     '# fej_slam LANDMARK 7 * 4294967301', '# fej_slam LANDMARK 7 * -1'])
 def test_a_damaged_line_is_named_with_its_number(tmp_path, line):
     with pytest.raises(UserError, match=r'graph\.g2o: line 2 is damaged .*; correct or remove it'):
