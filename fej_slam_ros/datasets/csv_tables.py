@@ -23,6 +23,7 @@ from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, Stamps, 
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import polar
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
+from fej_slam_ros.core.parameter_kinds import ROBOT_NAMES
 from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
@@ -274,12 +275,22 @@ def _require_whole(cells: dict[str | None, str | None], columns: Sequence[str]) 
 
 
 def _event(cells: Cells) -> Event:
-    robot = cells['robot'] or ''
-    if not robot:
-        raise ValueError('robot is empty')
+    robot = _robot_name(cells, 'robot')
     if 'time' in cells and 'stamp_ns' not in cells:
         return robot, checked_stamp(_from_seconds(cells['time'] or ''))
     return robot, checked_stamp(integer(cells, 'stamp_ns'))
+
+
+def _robot_name(cells: Cells, column: str) -> str:
+    """Return the name of a robot, which is part of those of topics in ROS."""
+    name = cells[column] or ''
+    if not name:
+        raise ValueError(f'{column} is empty')
+    if ROBOT_NAMES.read([name]) is None:
+        raise ValueError(
+            f'{column} is {name!r}, and a name begins with a letter and goes on with letters,'
+            ' digits and _')
+    return name
 
 
 def _from_seconds(text: str) -> int:
@@ -310,9 +321,7 @@ def _id(cells: Cells) -> int:
 def _robot(cells: Cells) -> tuple[Event, RobotObservation | None]:
     if _is_empty(cells, 'observed'):
         return _event(cells), None
-    if not cells['observed']:
-        raise ValueError('observed is empty')
-    return _event(cells), RobotObservation(cells['observed'], *_point(cells))
+    return _event(cells), RobotObservation(_robot_name(cells, 'observed'), *_point(cells))
 
 
 def _is_empty(cells: Cells, name: str) -> bool:

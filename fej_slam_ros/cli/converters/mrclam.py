@@ -28,7 +28,7 @@ from fej_slam_ros.datasets.mrclam.command_errors import MAX_MOTION_DELAY
 from fej_slam_ros.datasets.mrclam.conversion import MAX_COMMAND_HOLD, robot_name
 from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions, range_increase
 from fej_slam_ros.datasets.mrclam.files import (
-    MrclamSet, REPLACED_COMMAND, ROBOT_SUBJECTS, RobotLog)
+    MrclamSet, REPLACED_COMMAND, ROBOT_SUBJECTS, RobotLog, UNKNOWN_CODE)
 from fej_slam_ros.errors import UsageError, UserError
 
 SUMMARY = 'MRCLAM, five robots and their motion capture'
@@ -179,6 +179,15 @@ def _robot_report(
             f'    for {share:.0%} of the time the last command is older than'
             f' {MAX_COMMAND_HOLD / NS:g} s, and the motion unknown: repeat commands that were'
             ' recorded on change only')
+    if len(log.truth) and not true:
+        before = (log.truth.stamps[0] - log.commands.stamps[0]) / NS
+        yield (
+            '    no true pose is of the time of the odometry: they begin'
+            f' {abs(before):.0f} s {"after" if before > 0 else "before"} it; correct their times')
+    if 2 * log.counts[UNKNOWN_CODE] > log.counts[UNKNOWN_CODE] + len(log.observations):
+        yield (
+            '    most observations have a bar code that is not in Barcodes.dat, whose columns are'
+            ' subject and bar code')
     yield from _lost_decimals(log)
     yield from _counted(log.counts + rejected)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, Flags, Stamps
+from fej_slam_ros.core.geometry import Array, Flags, Stamps, wrap_all
 from fej_slam_ros.core.ordering.backward_stamps import breaks
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
@@ -42,6 +42,7 @@ MAX_DISTANCE = 24 * 3600 * NS
 #: Maximum number of successive commands whose stamps are damaged; more are of another clock.
 MAX_STRAYS = 10
 FAR_STAMP = 'stamp far from those of other rows'
+UNKNOWN_CODE = 'unknown bar code'
 REPLACED_COMMAND = 'command replaced at its own stamp'
 
 
@@ -94,6 +95,10 @@ def read(folder: Path) -> MrclamSet:
 
 def _subjects_by_code(path: Path, broken: Counter[str]) -> dict[int, int]:
     rows = _table(path, 2, broken)
+    if broken[path.name] and not len(rows):
+        raise UserError(
+            f'{path} has no row of two numbers, subject and bar code, separated by spaces: write'
+            ' it so')
     if not len(rows):
         raise UserError(
             f'{path} is missing or has no bar codes: give the folder with all files of an MRCLAM'
@@ -217,10 +222,16 @@ def _identified(
     codes_read, measured = observations.rows[:, 0], observations.rows[:, 1:]
     subjects = np.array([codes.get(code, -1) for code in codes_read.tolist()], dtype=float)
     kept = Series(observations.stamps, np.column_stack([subjects, measured]))
-    kept = drop(kept, kept.rows[:, 0] < 0, 'unknown bar code', counts)
+    kept = drop(kept, kept.rows[:, 0] < 0, UNKNOWN_CODE, counts)
     kept = drop(kept, kept.rows[:, 0] == robot, 'observation of itself', counts)
     r, bearing = kept.rows[:, 1], kept.rows[:, 2]
-    impossible = (r <= 0.0) | (r > MAX_RANGE) | (np.abs(bearing) > math.pi)
+    impossible = (r <= 0.0) | (r > MAX_RANGE) | (np.abs(bearing) > 2.0 * math.pi)
+    if 2 * impossible.sum() > len(kept):
+        raise UserError(
+            f'Robot{robot}_Measurement.dat: {impossible.sum()} of {len(kept)} rows have an'
+            ' impossible range or bearing: give time [s], bar code, range [m] and bearing [rad],'
+            ' separated by spaces')
+    kept.rows[:, 2] = wrap_all(bearing)
     return drop(kept, impossible, 'impossible range or bearing', counts)
 
 

@@ -216,6 +216,8 @@ def test_the_anchor_starts_where_its_first_true_pose_and_odometry_put_it(begin, 
     ('a,x,0,0,0', "line 2: stamp_ns is 'x' and not an integer"),
     (f'a,{2 ** 63},0,0,0', "line 2: stamp_ns is '9223372036854775808' and not an integer"),
     (',1,0,0,0', 'line 2: robot is empty'),
+    ('1,1,0,0,0', "line 2: robot is '1', and a name begins with a letter"),
+    ('a ,1,0,0,0', "line 2: robot is 'a ', and a name"),
     ('a,1,0,0,0\na,1,0,0,nan', "line 3: yaw is 'nan'")])
 def test_a_damaged_row_is_named(tmp_path, rows, reason):
     folder = write(tmp_path, odometry=f'robot,stamp_ns,x,y,yaw\n{rows}\n')

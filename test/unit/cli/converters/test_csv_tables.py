@@ -55,7 +55,7 @@ def test_times_without_their_decimals_are_named(convert, written, said_so):
 
 def test_a_name_that_cannot_be_a_topic_is_refused_before_a_bag_is_written(convert, tmp_path):
     assert_one_sentence(
-        convert(odometry=ODOMETRY.replace('red', 'robot 1')), 2, "'robot 1'", "'robot_1'")
+        convert(odometry=ODOMETRY.replace('red', 'robot 1')), 1, "robot is 'robot 1', and a name")
     assert not (tmp_path / 'bag').exists()
 
 

@@ -53,6 +53,15 @@ def test_stamps_without_their_decimals_are_named(
     assert re.findall('    ([a-z ]*stamps? of [a-z ]+)', said) == sentences
 
 
+def test_ground_truth_of_another_time_and_unknown_bar_codes_are_named(convert_mrclam, bag):
+    _, said, _ = convert_mrclam(
+        '--output', bag, Robot1_Groundtruth=[(3700 + k, 0.1 * k, 0, 0) for k in range(15)],
+        Robot1_Measurement=[(101, 7, 2, 0.5), (102, 99, 2, 0.5), (103, 98, 1, 0)])
+
+    assert 'no true pose is of the time of the odometry: they begin 3600 s after it' in said
+    assert 'most observations have a bar code that is not in Barcodes.dat' in said
+
+
 def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mrclam, bag):
     status, said, _ = convert_mrclam(
         '--output', bag, '--motion-delay', 0,

@@ -64,6 +64,26 @@ def test_impossible_observations_are_counted_and_dropped(read_set, row, reason):
     assert +log.counts == {reason: 1}
 
 
+def test_bearings_of_a_whole_turn_are_those_of_half_a_turn_to_both_sides(read_set):
+    bearings = [0.1, math.pi, 3.5, 6.0]
+
+    log = read_set(Robot1_Measurement=[(101.0 + k, 7, 2.0, b) for k, b in enumerate(bearings)])
+
+    # Rounding of a difference of two angles.
+    np.testing.assert_allclose(
+        log.logs[1].observations.rows[:, 2],
+        [0.1, math.pi, 3.5 - 2.0 * math.pi, 6.0 - 2.0 * math.pi], atol=1e-15)
+    assert +log.logs[1].counts == {}
+
+
+def test_bearings_in_degrees_are_refused(read_set):
+    rows = [(101.0 + k, 7, 2.0, 10.0 * k - 40.0) for k in range(9)]
+
+    with pytest.raises(UserError, match=(
+            r'Robot1_Measurement.dat: 8 of 9 rows have an impossible range or bearing: give')):
+        read_set(Robot1_Measurement=rows)
+
+
 @pytest.mark.parametrize('command', [(1e300, 0.0), (-51.0, 0.0), (0.1, 1e6), (0.1, -10.1)])
 def test_commands_that_no_robot_can_follow_are_counted_and_dropped(read_set, command):
     rows = [(100.0, 0.1, 0.0), (100.1, *command), (100.2, 0.3, 0.0)]
@@ -262,6 +282,7 @@ def test_a_robot_without_two_rows_of_odometry_is_excluded(read_set):
     ({'Robot1_Odometry': []}, 'holds no odometry of any robot: put Robot1_Odometry.dat'),
     ({'Robot1_Odometry': [('1248444187156', 0, 0)]}, r'with rows of time \[s\]'),
     ({'Barcodes': []}, 'Barcodes.dat is missing or has no bar codes'),
+    ({'Barcodes': [('8;7',), ('9;16',)]}, 'Barcodes.dat has no row of two numbers'),
     ({'Barcodes': [(8, 7), (9, 16), (9, 16), (17, 7)]},
      'gives bar code 7 to subjects 8 and 17: correct'),
     ({'Robot6_Odometry': [(100, 0, 0)]}, 'holds Robot6_Odometry.dat: .* the subjects 1 to 5'),
