@@ -69,7 +69,7 @@ def require_matplotlib(alternative: str = '') -> None:
     """Raise UserError if figures cannot be drawn, with the option by which none are."""
     if find_spec('matplotlib') is None:
         other = f', or {alternative}' if alternative else ''
-        raise UserError(f"matplotlib is missing: pip install '.[plot]' in the clone{other}")
+        raise UserError(f"matplotlib is missing: pip install -e '.[plot]' in the clone{other}")
 
 
 def parameter_help(parameters: Mapping[str, Parameter]) -> str:

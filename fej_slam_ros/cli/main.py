@@ -44,15 +44,15 @@ DISK_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS)
 MISSING_MODULES = {
     'rosbags': (
         "run 'rosdep install --from-paths src' in the colcon workspace, or 'pip install rosbags'"),
-    'foxglove': "pip install '.[foxglove]' in the clone",
-    'matplotlib': "pip install '.[plot]' in the clone",
+    'foxglove': "pip install -e '.[foxglove]' in the clone",
+    'matplotlib': "pip install -e '.[plot]' in the clone",
     # Since 7.1.4.
     'rclpy.experimental': 'the installed rclpy is too old: apt install ros-jazzy-rclpy',
     # Not on PyPI.
     'tf2_msgs': 'apt install ros-jazzy-tf2-msgs',
-    'distributed': "pip install '.[dask]' in the clone"}
+    'distributed': "pip install -e '.[dask]' in the clone"}
 #: What to do without the others.
-NO_ROS = "source ROS 2 Jazzy, or install it from PyPI: pip install '.[jazzy]' in the clone"
+NO_ROS = "source ROS 2 Jazzy, or install it from PyPI: pip install -e '.[jazzy]' in the clone"
 #: Exit status of the others after a signal, that of a shell for SIGINT.
 INTERRUPTED = 130
 

@@ -169,6 +169,9 @@ def process(
     yield session, summary
     for folder in folders:
         _renew_picture(folder, arguments.picture)
+        _warn_of_earlier(arguments, folder / 'evaluation', 'fej_slam evaluate')
+    if not arguments.write_bag:
+        _warn_of_earlier(arguments, output_bag, '--bag')
 
 
 def print_tables(
@@ -207,8 +210,9 @@ def _require_use(
         rejected = [flow.rejected_in_a_row for kind, flow in flows if kind in kinds]
         received = sum(flow.received for kind, flow in flows if kind in kinds)
         reasons = sum(rejected, Counter[RejectionReason]())
-        # A run that is restored from a checkpoint may get what it has used before.
-        if received == reasons.total() and not reasons.keys() <= SENT_AGAIN:
+        # A run that is restored from a checkpoint may get what it has used before, or missed.
+        may_be_old = SENT_AGAIN | ({RejectionReason.LATE} if settings.node.restore else set())
+        if received == reasons.total() and not reasons.keys() <= may_be_old:
             topics, (reason, _) = [f'<robot>/{kind}' for kind in kinds], *reasons.most_common(1)
             _, cure = description_and_cure(topics[0], reason, settings.estimation)
             raise UserError(
@@ -246,6 +250,13 @@ def _check(arguments: argparse.Namespace, output_bag: Path) -> None:
         require_matplotlib('leave out --picture')
     if arguments.write_bag:
         refuse_input_as_output(output_bag, arguments.bag)
+
+
+def _warn_of_earlier(arguments: argparse.Namespace, left: Path, renewed_by: str) -> None:
+    """Warn of results that may be of an earlier run; a bag may be any, so nothing is deleted."""
+    if arguments.force and left.exists() and left.resolve() != arguments.bag.resolve():
+        logging.getLogger(__name__).warning(
+            '%s is of an earlier run and stays as it is: %s renews it', left, renewed_by)
 
 
 def _renew_picture(folder: Path, is_wanted: bool) -> None:

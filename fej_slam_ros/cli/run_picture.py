@@ -55,7 +55,7 @@ def draw_run(
     for name, pose in {**starts, **{name: x[0] for name, x in true_poses.items()}}.items():
         _draw_start(axes, name, pose)
     # Of estimates in map alone, the first one is later than the start where a robot has joined.
-    start = 'start' if true_poses else 'first pose'
+    start = 'start' if true_poses else 'first pose in the frame'
     axes.plot([], [], 'o', color='black', markersize=5, label=start)
     # Of a wide scene, the space that is left is above it, where it is cut off.
     axes.set(title=title, xlabel='x [m]', ylabel='y [m]', aspect='equal', anchor='S')

@@ -27,7 +27,7 @@ def errors_name(path: Path) -> Iterator[None]:
     """Require a file, and name it in the message of any `UserError` raised in this context."""
     if not path.is_file():
         raise UserError(
-            f'{path}: there is no such file; give the folder that has it, or fetch the file')
+            f'{path}: there is no such file; give the path where it is, or fetch it')
     try:
         yield
     except UserError as error:

@@ -96,6 +96,8 @@ def convert(arguments: Namespace) -> None:
     """Write the bag and print the number of its records, or print the measured noise."""
     if arguments.output is None and not arguments.measure:
         raise UsageError('nothing to do: give --output BAG, or --measure')
+    if arguments.output is not None and arguments.measure:
+        raise UsageError('--measure converts nothing: leave out --output, or --measure')
     data = files.read(arguments.input)
     if arguments.measure and not (data.landmarks and noise.is_measurable(data)):
         raise UserError(
@@ -179,6 +181,13 @@ def _robot_report(
             f'    for {share:.0%} of the time the last command is older than'
             f' {MAX_COMMAND_HOLD / NS:g} s, and the motion unknown: repeat commands that were'
             ' recorded on change only')
+    yield from _wrong_rows(log, true)
+    yield from _lost_decimals(log)
+    yield from _counted(log.counts + rejected)
+
+
+def _wrong_rows(log: RobotLog, true: int) -> Iterator[str]:
+    """Yield why most rows of a file are not used; `true` is the number of true poses that are."""
     if len(log.truth) and not true:
         before = (log.truth.stamps[0] - log.commands.stamps[0]) / NS
         yield (
@@ -188,8 +197,6 @@ def _robot_report(
         yield (
             '    most observations have a bar code that is not in Barcodes.dat, whose columns are'
             ' subject and bar code')
-    yield from _lost_decimals(log)
-    yield from _counted(log.counts + rejected)
 
 
 def _lost_decimals(log: RobotLog) -> Iterator[str]:

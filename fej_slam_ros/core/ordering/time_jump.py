@@ -257,8 +257,7 @@ class TimeJumpDetector:
     def _detect(self) -> None:
         """Set the jump if all robots went back, or some did for long while others are silent."""
         robots = {robot for robot, kind in self._newest if kind is Odometry}
-        back = {robot: odometry for robot, odometry in self._backward.items()
-                if odometry.is_certain()}
+        back = {robot: back for robot, back in self._backward.items() if back.is_certain()}
         if not robots <= back.keys() and all(
                 odometry.last - odometry.first <= MAX_WAIT_FOR_OTHERS
                 for odometry in back.values()):

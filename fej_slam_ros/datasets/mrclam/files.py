@@ -95,12 +95,10 @@ def read(folder: Path) -> MrclamSet:
 
 def _subjects_by_code(path: Path, broken: Counter[str]) -> dict[int, int]:
     rows = _table(path, 2, broken)
-    if broken[path.name] and not len(rows):
-        raise UserError(
-            f'{path} has no row of two numbers, subject and bar code, separated by spaces: write'
-            ' it so')
     if not len(rows):
         raise UserError(
+            f'{path} has no row of two numbers, subject and bar code, separated by spaces'
+            if broken[path.name] else
             f'{path} is missing or has no bar codes: give the folder with all files of an MRCLAM'
             ' set')
     rows = np.unique(rows, axis=0)
@@ -229,8 +227,7 @@ def _identified(
     if 2 * impossible.sum() > len(kept):
         raise UserError(
             f'Robot{robot}_Measurement.dat: {impossible.sum()} of {len(kept)} rows have an'
-            ' impossible range or bearing: give time [s], bar code, range [m] and bearing [rad],'
-            ' separated by spaces')
+            ' impossible range or bearing: give time [s], bar code, range [m] and bearing [rad]')
     kept.rows[:, 2] = wrap_all(bearing)
     return drop(kept, impossible, 'impossible range or bearing', counts)
 

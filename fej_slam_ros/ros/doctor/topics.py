@@ -45,7 +45,8 @@ def check_files(path: Path, names: TopicNames) -> Iterator[Finding]:
         yield warning(
             'no_checksum', file, f'there is no checksum of {parts}: a flipped bit changes them'
             ' unnoticed',
-            'record mcap files with chunks, and not with the preset fastwrite or as sqlite3')
+            'record by ros2 bag record as mcap, not with the preset fastwrite or as sqlite3; the'
+            ' Python package rosbags writes no checksums')
     for topic, (listed, recorded) in bags.miscounted(path, names).items():
         yield warning(
             'message_count', topic,

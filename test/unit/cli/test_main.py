@@ -157,8 +157,8 @@ def test_errors_of_a_verb_offer_only_options_that_it_has(verb):
 
 @pytest.mark.parametrize(('module', 'cure'), [
     ('rclpy', 'source ROS 2 Jazzy, or'), ('rosbags', "run 'rosdep install "),
-    ('rosbags.typesys', "'pip install rosbags'"), ('foxglove', "pip install '.[foxglove]'"),
-    ('matplotlib', "pip install '.[plot]'"),
+    ('rosbags.typesys', "'pip install rosbags'"), ('foxglove', "pip install -e '.[foxglove]'"),
+    ('matplotlib', "pip install -e '.[plot]'"),
     ('rclpy.experimental', 'apt install ros-jazzy-rclpy')])
 def test_a_missing_module_is_named_with_its_cure(run, capsys, module, cure):
     error = ModuleNotFoundError(f'No module named {module!r}', name=module)

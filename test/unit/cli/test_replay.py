@@ -283,6 +283,16 @@ def test_an_output_bag_is_replaced_with_force(replay, places):
     assert bags.topics(places[2] / 'bag')['r1/pose'].messages == 5
 
 
+def test_what_stays_of_an_earlier_run_is_named(replay, places, caplog):
+    replay(MEETING, '--bag')
+    (places[2] / 'evaluation').mkdir()
+
+    replay(None, '--force')
+
+    assert f'{places[2] / "bag"} is of an earlier run and stays as it is: --bag' in caplog.text
+    assert f'{places[2] / "evaluation"} is of an earlier run' in caplog.text
+
+
 def test_a_bag_of_other_robots_is_reported(replay, places):
     stranger = [raw('r9/odom', odometry_message(), 0), raw('tf', seen(), 0)]
 

@@ -167,6 +167,13 @@ def test_noise_is_measured_with_motion_capture_only(convert_mrclam):
     assert 'is not enough to measure noise: it needs Robot1_Groundtruth.dat' in error
 
 
+def test_measured_noise_is_not_of_a_conversion(convert_mrclam, bag):
+    status, _, error = convert_mrclam('--measure', '--output', bag)
+
+    assert status == 2
+    assert '--measure converts nothing: leave out --output' in error
+
+
 def test_measured_noise_is_printed_and_writes_no_file(convert_mrclam, bag):
     rows = range(5200)
     status, said, _ = convert_mrclam(

@@ -102,7 +102,7 @@ def test_a_missing_or_foreign_file_is_rejected(raw_park, name):
 
     path.unlink()
 
-    with pytest.raises(UserError, match=f'{name}: there is no such file; give the folder'):
+    with pytest.raises(UserError, match=f'{name}: there is no such file; give the path'):
         read(path.parent)
 
 

@@ -77,5 +77,5 @@ def test_a_file_that_is_missing_is_named(text_park):
     folder, _ = text_park
     (folder / 'gps.dat').unlink()
 
-    with pytest.raises(UserError, match=r'gps\.dat: there is no such file; give the folder'):
+    with pytest.raises(UserError, match=r'gps\.dat: there is no such file; give the path'):
         text_log.read(folder)
