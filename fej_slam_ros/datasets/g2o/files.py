@@ -50,11 +50,13 @@ def read(path: Path, noise: str) -> tuple[Graph, Counter[str]]:
 
     """
     try:
-        lines = path.read_text(encoding='utf-8-sig', errors='replace').splitlines()
+        text = path.read_text(encoding='utf-8-sig', errors='replace')
     except OSError as error:
         raise UserError(
             f'cannot read {path}: {error.strerror}; give the path of a graph file') from None
-    reader = _Reader(NOISES[noise])
+    if '\0' in text:
+        raise UserError(f'{path} is no text in UTF-8: give the path of a graph file')
+    lines, reader = text.splitlines(), _Reader(NOISES[noise])
     try:
         for line in lines:
             reader.read(line)

@@ -137,6 +137,14 @@ def test_information_that_has_no_inverse_is_called_singular(tmp_path):
         read(tmp_path, 'EDGE_SE2 0 1 1 0 0 0 0 0 0 0 1')
 
 
+def test_a_file_of_another_encoding_is_one_sentence(tmp_path):
+    path = tmp_path / 'graph.g2o'
+    path.write_text('EDGE_SE2 0 1 1 0 0 1 0 0 1 0 1', encoding='utf-16')
+
+    with pytest.raises(UserError, match=r'graph\.g2o is no text in UTF-8: give the path'):
+        files.read(path, 'covariance')
+
+
 def test_a_missing_file_is_one_sentence(tmp_path):
     with pytest.raises(UserError, match=r'cannot read .*graph\.g2o: No such file or directory'):
         files.read(tmp_path / 'graph.g2o', 'covariance')
