@@ -41,6 +41,8 @@ MAX_RANGE = 1e5
 MAX_DISTANCE = 24 * 3600 * NS
 #: Maximum number of successive commands whose stamps are damaged; more are of another clock.
 MAX_STRAYS = 10
+#: Number of impossible observations of a robot up to which these are no mistaken unit.
+MAX_IMPOSSIBLE = 10
 FAR_STAMP = 'stamp far from those of other rows'
 UNKNOWN_CODE = 'unknown bar code'
 REPLACED_COMMAND = 'command replaced at its own stamp'
@@ -224,7 +226,7 @@ def _identified(
     kept = drop(kept, kept.rows[:, 0] == robot, 'observation of itself', counts)
     r, bearing = kept.rows[:, 1], kept.rows[:, 2]
     impossible = (r <= 0.0) | (r > MAX_RANGE) | (np.abs(bearing) > 2.0 * math.pi)
-    if 2 * impossible.sum() > len(kept):
+    if impossible.sum() > max(len(kept) / 2, MAX_IMPOSSIBLE):
         raise UserError(
             f'Robot{robot}_Measurement.dat: {impossible.sum()} of {len(kept)} rows have an'
             ' impossible range or bearing: give time [s], bar code, range [m] and bearing [rad]')

@@ -77,10 +77,10 @@ def test_bearings_of_a_whole_turn_are_those_of_half_a_turn_to_both_sides(read_se
 
 
 def test_bearings_in_degrees_are_refused(read_set):
-    rows = [(101.0 + k, 7, 2.0, 10.0 * k - 40.0) for k in range(9)]
+    rows = [(101.0 + k / 2, 7, 2.0, 10.0 * k - 40.0) for k in range(15)]
 
     with pytest.raises(UserError, match=(
-            r'Robot1_Measurement.dat: 8 of 9 rows have an impossible range or bearing: give')):
+            r'Robot1_Measurement.dat: 14 of 15 rows have an impossible range or bearing: give')):
         read_set(Robot1_Measurement=rows)
 
 
