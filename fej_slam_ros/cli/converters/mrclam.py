@@ -22,7 +22,7 @@ from fej_slam_ros.cli.converters import mrclam_tables
 from fej_slam_ros.cli.converters.common import add_paths, write
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import Settings
-from fej_slam_ros.datasets.mrclam import conversion, files, noise, run_settings
+from fej_slam_ros.datasets.mrclam import camera_errors, conversion, files, noise, run_settings
 from fej_slam_ros.datasets.mrclam.camera_errors import MAX_CAMERA_DELAY
 from fej_slam_ros.datasets.mrclam.command_errors import MAX_MOTION_DELAY
 from fej_slam_ros.datasets.mrclam.conversion import MAX_COMMAND_HOLD, robot_name
@@ -224,6 +224,11 @@ def _long_delays(
             yield (
                 f'the measured {what} delay, {delay:.1f} s, is the longest that is searched for:'
                 ' check the clocks of ground truth, commands and observations')
+    for robot, offset in camera_errors.clock_offsets(data, options.camera_delay).items():
+        yield (
+            f'observations of {robot_name(robot)} fit its true poses better if they are'
+            f' {abs(offset):.1f} s {"earlier" if offset > 0 else "later"}: correct its clock, or'
+            ' that of its ground truth')
 
 
 def _counted(counts: Counter[str]) -> Iterator[str]:

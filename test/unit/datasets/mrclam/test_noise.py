@@ -12,6 +12,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.records import NS
+from fej_slam_ros.datasets.mrclam.camera_errors import clock_offsets
 from fej_slam_ros.datasets.mrclam.command_errors import increments
 from fej_slam_ros.datasets.mrclam.conversion import observations as observations_used, speeds
 from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions, Noise
@@ -216,6 +217,18 @@ def test_the_delay_of_a_camera_is_measured_and_removed(synthetic, late_by):
         observations_used(synthetic, 1, replace(options, camera_delay=delay), Counter()).stamps
         for delay in (0.0, late_by / NS))
     np.testing.assert_array_equal(used[:len(before)], before[:len(used)] - late_by)
+
+
+@pytest.mark.parametrize(('late_by', 'found'), [
+    (0.0, {}), (2.0, {2: 2.0}), (-1.0, {2: -1.0}), (2.9, {2: 2.9})])
+def test_a_robot_with_another_clock_than_its_ground_truth_is_found(synthetic, late_by, found):
+    log = synthetic.logs[1]
+    late = replace(log, robot=2, observations=log.observations.shifted(round(late_by * NS)))
+
+    offsets = clock_offsets(replace(synthetic, logs={1: log, 2: late}), 0.0)
+
+    # In steps of 0.1 s.
+    assert offsets == pytest.approx(found, abs=0.05)
 
 
 def test_the_delay_of_a_camera_at_rest_is_the_default(tmp_path):
