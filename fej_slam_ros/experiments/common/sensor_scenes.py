@@ -34,6 +34,8 @@ def draw_laser_world(axes: Axes, world: LaserWorld, lidar: LidarSettings) -> Non
         axes.plot(
             *transform(poses[-1], points).T, '.', markersize=2, color=robot_colour(index),
             alpha=0.6)
+    if len(world.walls):
+        axes.plot([], [], color='0.4', linewidth=2.0, label='wall')
     axes.plot([], [], '.', color='0.4', label='laser scan at the end')
 
 
@@ -50,3 +52,5 @@ def draw_tag_world(axes: Axes, world: TagWorld, camera: CameraSettings) -> None:
         axes.add_patch(Wedge(
             (x, y), camera.range, math.degrees(heading - half), math.degrees(heading + half),
             facecolor=robot_colour(index), alpha=0.15))
+    axes.plot([], [], color=TRUTH_COLOUR, linewidth=1.0, label='side that a tag faces')
+    axes.fill([], [], color='0.4', alpha=0.15, label='view of a camera at the end')
