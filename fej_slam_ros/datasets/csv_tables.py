@@ -29,7 +29,7 @@ from fej_slam_ros.core.records import (
     Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
-from fej_slam_ros.datasets.scans import divided
+from fej_slam_ros.datasets.scans import divided, observed_name
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers, integer
 
@@ -265,13 +265,12 @@ def _require_whole(cells: dict[str | None, str | None], columns: Sequence[str]) 
 
     """
     # A cell of the first line may be lacking, too, which is for the parser to name.
-    if any(cells.pop(None, None) or ()) and set(columns) & {'robot', 'id'}:
+    if any(cells.pop(None, None) or ()) and {*columns} & {'robot', 'id'}:
         raise ValueError(
             'it has more cells than the first line; decimals are written with a point')
-    missing = next((name for name in columns if cells[name] is None), None)
-    given = {name for name in columns if cells[name] is not None}
-    if missing is not None and given not in ({'robot', 'stamp_ns'}, {'robot', 'time'}):
-        raise ValueError(f'it ends before {missing}; cells without a value are empty')
+    missing = [name for name in columns if cells[name] is None]
+    if missing and {*columns} - {*missing} not in ({'robot', 'stamp_ns'}, {'robot', 'time'}):
+        raise ValueError(f'it ends before {missing[0]}; cells without a value are empty')
 
 
 def _event(cells: Cells) -> Event:
@@ -393,5 +392,4 @@ def _scans(
 
 def _content(observation: Observation | RobotObservation) -> tuple[int | str, bytes, bytes]:
     """Return what no other observation at a stamp has in common."""
-    name = observation.id if isinstance(observation, Observation) else observation.observed
-    return name, observation.z.tobytes(), observation.R.tobytes()
+    return observed_name(observation), observation.z.tobytes(), observation.R.tobytes()

@@ -4,7 +4,7 @@
 
 from collections.abc import Iterable, Iterator
 
-from fej_slam_ros.core.records import NO_ID, Observation, ObservationT
+from fej_slam_ros.core.records import NO_ID, Observation, ObservationT, RobotObservation
 
 
 def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT, ...]]:
@@ -17,7 +17,7 @@ def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT
     scan: list[ObservationT] = []
     observed: set[int | str] = set()
     for observation in observations:
-        name = observation.id if isinstance(observation, Observation) else observation.observed
+        name = observed_name(observation)
         if name in observed:
             yield tuple(scan)
             scan, observed = [], set()
@@ -25,3 +25,8 @@ def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT
         if name != NO_ID:
             observed.add(name)
     yield tuple(scan)
+
+
+def observed_name(observation: Observation | RobotObservation) -> int | str:
+    """Return the ID of the observed landmark, or the name of the observed robot."""
+    return observation.id if isinstance(observation, Observation) else observation.observed

@@ -12,7 +12,6 @@ docs/data.md has all columns.
 from argparse import ArgumentParser, Namespace
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from itertools import chain
 
 import numpy as np
 
@@ -34,12 +33,12 @@ def convert(arguments: Namespace) -> None:
     repeated: Counter[str] = Counter()
     records = csv_tables.read(arguments.input, repeated)
     settings = csv_tables.settings(records)
-    write(records, settings, arguments, chain(_report(records, settings), (
-        f'rows of {name} that repeat another of their stamp, and are left out: {count}'
-        for name, count in repeated.items() if count)))
+    write(records, settings, arguments, _report(records, settings, repeated))
 
 
-def _report(records: Iterable[Record], settings: Settings) -> Iterator[str]:
+def _report(
+    records: Iterable[Record], settings: Settings, repeated: Counter[str]
+) -> Iterator[str]:
     kinds = {Odometry: 'odometry', Scan: 'scans', RobotScan: 'robot scans', TruePose: 'true poses'}
     counts = Counter(
         (record.robot, kinds[type(record)]) for record in records
@@ -57,3 +56,6 @@ def _report(records: Iterable[Record], settings: Settings) -> Iterator[str]:
                 ' each, of which only the first is used: export the time with all its digits')
     x, y, phi = settings.anchor_pose
     yield f'start of {settings.anchor}, the anchor: ({x:.3f} m, {y:.3f} m, {phi:.3f} rad) in map'
+    for name, count in repeated.items():
+        if count:
+            yield f'rows of {name} that repeat another of their stamp, and are left out: {count}'

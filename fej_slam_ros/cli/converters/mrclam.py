@@ -112,7 +112,7 @@ def convert(arguments: Namespace) -> None:
     settings = run_settings.settings(data, options, arguments.known_starts)
     write(
         conversion.records(data, options, rejected), settings, arguments,
-        chain(_report(data, options, settings, rejected), _long_delays(data, options, arguments)))
+        chain(_report(data, options, settings, rejected), _clock_faults(data, options, arguments)))
 
 
 def _options(data: MrclamSet, arguments: Namespace) -> ConversionOptions:
@@ -212,7 +212,7 @@ def _lost_decimals(log: RobotLog) -> Iterator[str]:
             ' decimals were lost, observations are wrong by the motion in a second')
 
 
-def _long_delays(
+def _clock_faults(
     data: MrclamSet, options: ConversionOptions, arguments: Namespace
 ) -> Iterator[str]:
     if not noise.is_measurable(data):

@@ -89,7 +89,8 @@ class TimeJumpDetector:
         self._resets = resets
         self._newest: dict[Source, int] = {}
         self._backward: dict[str, BackwardOdometry] = {}
-        # Odometry far ahead of the team, and the robots whose latest but one was held for that.
+        # Odometry far ahead of the team. After it, no more of its robot is held until one has come
+        # soon after the one before: its odometry may be rare.
         self._ahead: dict[str, tuple[Odometry, int | None]] = {}
         self._have_paused: set[str] = set()
         # Newest stamps of odometry of robots that have sent none since a checkpoint [ns].
@@ -106,9 +107,7 @@ class TimeJumpDetector:
             return self._pass_on(record, received)
         if isinstance(record, Odometry):
             self._settle_ahead(record)
-            if self._is_far_ahead(record, received):
-                self._have_paused.add(record.robot)
-                self._ahead[record.robot] = record, received
+            if self._hold_ahead(record, received):
                 return False
         if self.jump is not None:
             self._reject(record, RejectionReason.AFTER_TIME_JUMP)
@@ -183,17 +182,22 @@ class TimeJumpDetector:
             else:
                 self._pass_on(ahead, received)
 
-    def _is_far_ahead(self, record: Odometry, received: int | None) -> bool:
-        """Return whether odometry is far ahead of all, and is usually not."""
-        limit = self._limit
+    def _hold_ahead(self, record: Odometry, received: int | None) -> bool:
+        """Hold odometry that is far ahead of all, unless it is rare; return whether it is held."""
+        robot, limit = record.robot, self._limit
         if record.stamp - self._latest(record) <= limit:
-            self._have_paused.discard(record.robot)
+            self._have_paused.discard(robot)
             return False
         now = max([self._time(), *self._before.values()])
-        return (
-            record.stamp - now > limit
-            and not (self.jump or self._backward or record.robot in self._have_paused)
-            and not self._consumer.settings.is_future(record.stamp, received))
+        if (
+            record.stamp - now <= limit or self.jump or self._backward
+            or robot in self._have_paused
+            or self._consumer.settings.is_future(record.stamp, received)
+        ):
+            return False
+        self._have_paused.add(robot)
+        self._ahead[robot] = record, received
+        return True
 
     def _latest(self, record: Odometry) -> int:
         """Return the newest stamp of a robot before its next odometry, that of this if none."""

@@ -32,7 +32,7 @@ DELAY_BEGINS = -0.6, -0.4, -0.2, 0.0, 0.2, 0.4
 #: Offsets [s] among which that of a robot's clock is sought, the least that is another clock, the
 #: ratio of spreads of bearings below which it is shown, and the least number of bearings for that.
 #: In set 6 the ratio is 0.34 to 0.71 for a clock that is 0.5 s late, else 1.
-CLOCK_OFFSETS, MIN_CLOCK_OFFSET = np.linspace(-3.0, 3.0, 61), 0.25
+CLOCK_OFFSETS, MIN_CLOCK_OFFSET = [k / 10.0 for k in range(-30, 31)], 0.25
 SHOWN_SPREAD, MIN_BEARINGS = 0.8, 50
 
 
@@ -115,15 +115,16 @@ def clock_offsets(data: MrclamSet, camera_delay: float) -> dict[int, float]:
     That is where their bearings fit the true poses better than at the delay of the team.
 
     """
-    spreads = [
-        _spreads(observation_errors(data, camera_delay + offset)[0], data.logs)
-        for offset in (0.0, *CLOCK_OFFSETS)]
+    spreads = {
+        offset: _spreads(observation_errors(data, camera_delay + offset)[0], data.logs)
+        for offset in CLOCK_OFFSETS}
     found = {}
     for robot in data.logs:
-        usual, *others = (spread[robot] for spread in spreads)
-        offset = float(CLOCK_OFFSETS[np.argmin(others)])
-        if min(others) < SHOWN_SPREAD * usual < math.inf and abs(offset) > MIN_CLOCK_OFFSET:
-            found[robot] = offset
+        of_robot = {offset: spread[robot] for offset, spread in spreads.items()}
+        best = min(of_robot, key=lambda offset: of_robot[offset])
+        if of_robot[best] < SHOWN_SPREAD * of_robot[0.0] < math.inf and (
+                abs(best) > MIN_CLOCK_OFFSET):
+            found[robot] = best
     return found
 
 

@@ -11,7 +11,7 @@ from fej_slam_ros.ros.session.faults import Level
 from fej_slam_ros.ros.session.outputs import IsWanted, Publication
 from fej_slam_ros.ros.topic_types import DIAGNOSTICS_TOPIC
 
-#: Number of reports since which what has arrived shows what is so at present.
+#: Number of reports, one a second, over which warnings look back.
 RECENT_REPORTS = 5
 #: A robot, its warnings, and the counts of its input and output.
 RobotCounts = tuple[str, Sequence[str], dict[str, int]]

@@ -300,7 +300,6 @@ def test_a_single_stamp_ahead_changes_no_bit(team, ahead):
     drive = [m for m in PASS if m.topic.startswith(team)]
     # Received long after all stamps, as when a bag is played: no clock shows the stray stamp.
     stray = later([raw_record(odometry('r1', 2000 + ahead))], 1e6)
-
     half = len(drive) // 2
 
     run, = runs_of([*drive[:half], *stray, *drive[half:]], *team)
