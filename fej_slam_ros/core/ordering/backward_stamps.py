@@ -18,9 +18,11 @@ from fej_slam_ros.core.records import NS
 
 #: Steps back up to this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
-#: Number of rows in a span of stamps, relative to a regular log: with fewer than MIN_DENSITY the
-#: span has a gap, with more than MAX_DENSITY (and at least MIN_ROWS rows) it was passed twice.
-MIN_DENSITY, MAX_DENSITY, MIN_ROWS = 0.5, 1.5, 4
+#: Share of the rows of a regular log below which a span of stamps has a gap, if more than
+#: `MAX_PERIODS` rows are missing.
+MIN_DENSITY = 0.5
+#: Share of the rows that a clock set back writes too many, from which a time was passed twice.
+MIN_SURPLUS = 0.5
 #: Minimum length, in rows at the mean rate, of the windows before and after a step back whose
 #: rates are compared.
 NEARBY_ROWS = 20
@@ -94,35 +96,43 @@ def breaks(stamps: Stamps) -> list[int]:
 def _break(stamps: Stamps, step: float) -> int:
     """Return the row where rows before and after mix most, 0 if all are of one clock."""
     worst, most = 0, float(MAX_CHANGES)
-    back, order = steps_back(stamps), np.argsort(stamps, kind='stable')
-    for row in back:
-        changes = _changes(stamps, row, order, step)
+    order = np.argsort(stamps, kind='stable')
+    in_order = stamps[order]
+    for row in steps_back(stamps):
+        low, high = stamps[[row, row - 1]].tolist()
+        between = order[_between(in_order, low, high)]
+        if high - low - (len(between) + 1) * step > max(
+                (1.0 - MIN_DENSITY) * (high - low), MAX_PERIODS * step):
+            return row
+        changes = float(np.count_nonzero(np.diff(between < row)))
+        if changes <= MAX_CHANGES and _is_passed_twice(in_order, low, high, step):
+            changes = MAX_CHANGES + 1.0
         if changes > most:
             worst, most = row, changes
-        if most == np.inf:
-            break
     return worst
 
 
-def _changes(stamps: Stamps, row: int, order: Indices, step: float) -> float:
+def _is_passed_twice(in_order: Stamps, low: int, high: int, step: float) -> bool:
     """
-    Return how often rows before and after a step back alternate in the order of stamps.
+    Return whether ascending stamps pass the time from low to high twice, after a step back by it.
 
-    It is inf if the rows leave a gap, and above `MAX_CHANGES` if the stamps pass the time twice.
+    The clock was then set back by a period more, and as many rows are too many from the row before
+    low to that after high. Both may be far, as the log may have gaps there.
     """
-    def rows_between(low: float, high: float) -> Indices:
-        begin = np.searchsorted(stamps, low, 'right', sorter=order)
-        return order[begin:np.searchsorted(stamps, high, 'left', sorter=order)]
-
-    low, high = float(stamps[row]), float(stamps[row - 1])
-    length, between = high - low, rows_between(low, high)
-    if (len(between) + 1) * step < MIN_DENSITY * length:
-        return np.inf
-    changes = float(np.count_nonzero(np.diff(between < row)))
     # The rate of the log may change, so it is also compared with that just before and after.
-    nearby = max(length, NEARBY_ROWS * step)
-    densest = max(length / step, *(
-        len(rows_between(begin, begin + nearby)) * length / nearby
-        for begin in (low - nearby, high)))
-    is_dense = len(between) >= max(MIN_ROWS, MAX_DENSITY * densest - 1.0)
-    return max(changes, MAX_CHANGES + 1.0) if is_dense else changes
+    nearby = max(high - low, NEARBY_ROWS * step)
+    rows = (len(in_order[_between(in_order, begin, begin + nearby)])
+            for begin in (low - nearby, high))
+    period = min(step, *(nearby / max(count, 1) for count in rows))
+    first = max(int(np.searchsorted(in_order, low, 'left')) - 1, 0)
+    last = min(int(np.searchsorted(in_order, high, 'right')), len(in_order) - 1)
+    elapsed = high - low + sum(
+        min(distance, period) for distance in (low - in_order[first], in_order[last] - high))
+    surplus = last - first - elapsed / period
+    return bool(surplus >= MIN_SURPLUS * ((high - low) / period + 1.0))
+
+
+def _between(in_order: Stamps, low: float, high: float) -> slice:
+    """Return the ascending stamps between two times, both excluded."""
+    return slice(
+        int(np.searchsorted(in_order, low, 'right')), int(np.searchsorted(in_order, high, 'left')))

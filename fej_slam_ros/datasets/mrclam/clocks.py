@@ -28,6 +28,9 @@ COMPARED_TIME = 20 * NS
 #: Maximum difference of a landmark's positions by two observations: constant [m], per metre of
 #: range, and per metre times the root of the seconds in between, in which odometry turns away.
 POSITION_TOLERANCE = np.array([0.2, 0.08, 0.04])
+#: Clocks that are set by up to this [ns] need no landmarks to be recognized: in so short a time
+#: that robot cannot be in another recording.
+MAX_CERTAIN_SHIFT = 5 * NS
 #: Share of the landmarks that must agree; a bar code may be misread.
 MIN_AGREEING_SHARE = 0.75
 #: Share of copies among the rows at a time that was passed before, if these are repeated, and
@@ -143,6 +146,8 @@ def _shift(earlier: Series, later: Series) -> int:
 def _goes_on(earlier: ClockPart, later: ClockPart, moving: Container[int]) -> bool:
     """Return whether a robot drives on from one part to the next."""
     shift = _shift(earlier.commands, later.commands)
+    if shift <= MAX_CERTAIN_SHIFT:
+        return True
     differences = _landmark_differences(earlier, later.shifted(shift), moving)
     if differences:
         return float(np.quantile(differences, MIN_AGREEING_SHARE)) <= 1.0

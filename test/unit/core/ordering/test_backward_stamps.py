@@ -55,10 +55,42 @@ def test_rows_written_late_while_the_rate_is_high_are_no_break(when):
     assert breaks(stamps) == []
 
 
-def test_a_clock_that_is_set_back_by_a_few_rows_is_a_break():
-    stamps = np.concatenate([regular(0, 80_000, 120), regular(79_500, 200_000, 120)])
+@pytest.mark.parametrize(('period', 'back'), [
+    (120, 500), (120, 300), (100, 250), (200, 700), (200, 500), (200, 400), (50, 200)])
+@pytest.mark.parametrize('when', [1, 7, 30])
+def test_a_clock_that_is_set_back_by_two_rows_or_more_is_a_break(period, back, when):
+    # From 400 ms at 5 Hz on, two rows; also where the stamps after repeat those before exactly.
+    stamps = np.arange(0, 60_000, period) * MS
+    row = np.searchsorted(stamps, when * 1000 * MS)
+    stamps[row:] -= back * MS
 
-    assert breaks(stamps) == [len(regular(0, 80_000, 120))]
+    assert breaks(stamps) == [row]
+
+
+@pytest.mark.parametrize('gap', [10_000, 400])
+def test_a_clock_that_is_set_back_next_to_a_gap_is_a_break(gap):
+    before = np.concatenate([regular(0, 20_000, 100), regular(20_000 + gap, 20_350 + gap, 100)])
+    after = regular(20_350 + gap - 300, 90_000, 100)
+
+    assert breaks(np.concatenate([before, after])) == [len(before)]
+
+
+@pytest.mark.parametrize('late', [1, 2, 5])
+@pytest.mark.parametrize('period', [50, 100, 200, 500])
+def test_a_few_rows_written_late_are_no_break(period, late):
+    stamps = regular(0, 100_000, period)
+    # The rows before are written first; there are as many, and a tenth of a second at least.
+    stamps[40:40 + 2 * late + 2] = np.roll(stamps[40:40 + 2 * late + 2], late)
+
+    assert len(steps_back(stamps)) == 1
+    assert breaks(stamps) == []
+
+
+def test_a_row_written_late_where_a_row_is_missing_is_no_break():
+    stamps = np.delete(regular(0, 20_000, period=50), [201, 203])
+    stamps[[200, 201]] = stamps[[201, 200]]
+
+    assert breaks(stamps) == []
 
 
 @pytest.mark.parametrize('back', [200, 2000, 7000])
