@@ -186,12 +186,16 @@ def test_observations_at_the_edges_of_the_gap_of_a_clock_set_forward_go_with_the
     assert abs(float(shifted.split()[3])) == pytest.approx(25.0, abs=PERIOD)
 
 
-@pytest.mark.parametrize('known', [True, False])
-def test_a_gap_in_a_log_is_no_clock_that_was_set_forward(known):
-    *series, truth = drive(4)
-    with_gap = [s[(s.stamps < at(60)) | (s.stamps >= at(70))] for s in series]
+@pytest.mark.parametrize(('begin', 'end'), [(60, 70), (20, 320), (70, 370), (150, 390)])
+@pytest.mark.parametrize('known', ['all the time', 'but in the gap', 'never'])
+@pytest.mark.parametrize('seed', [4, 5])
+def test_a_gap_in_a_log_is_no_clock_that_was_set_forward(known, begin, end, seed):
+    *series, truth = drive(seed, seconds=400.0)
+    with_gap = [s[(s.stamps < at(begin)) | (s.stamps >= at(end))] for s in series]
+    if known == 'but in the gap':
+        truth = joined([cut(truth, 0, begin)[0], cut(truth, end, 400)[0]])
 
-    found, seen, counts = ordered(*with_gap, truth if known else UNUSED)
+    found, seen, counts = ordered(*with_gap, UNUSED if known == 'never' else truth)
 
     assert_equal(found, with_gap[0])
     assert_equal(seen, with_gap[1])
