@@ -157,7 +157,7 @@ class TeamJoiner:
         """
         if robot not in self._groups.team.robots:
             return False
-        due = [*self._pose_priors.take(robot, stamp)]
+        due = self._pose_priors.take(robot, stamp)
         self._statistics.pose_priors_used[robot] += len(due)
         for prior in due:
             if is_too_uncertain(prior.P):

@@ -287,7 +287,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
     ) -> None:
         """Start a trajectory, or extend it by a pose prior or by odometry."""
-        priors = [*self._pose_priors.take(name, self._stamp)]
+        priors = self._pose_priors.take(name, self._stamp)
         if name not in self.trajectories:
             self.trajectories[name] = RobotTrajectory(
                 name, self._stamp, observations, self._solve_every)

@@ -3,7 +3,6 @@
 """Pose priors: initial poses that robots are given, until their next step."""
 
 from bisect import insort
-from collections.abc import Iterator
 
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
@@ -37,11 +36,12 @@ class PosePriors:
         reason = self._statistics.reject_record(oldest, RejectionReason.AFTER_ODOMETRY)
         return reason if oldest is prior else None
 
-    def take(self, robot: str, stamp: int) -> Iterator[PosePrior]:
-        """Yield and remove the priors of a robot up to a stamp [ns], oldest first."""
+    def take(self, robot: str, stamp: int) -> list[PosePrior]:
+        """Remove and return the priors of a robot up to a stamp [ns], oldest first."""
         waiting = self._waiting.get(robot, [])
-        while waiting and waiting[0].stamp <= stamp:
-            yield waiting.pop(0)
+        due = [prior for prior in waiting if prior.stamp <= stamp]
+        del waiting[:len(due)]
+        return due
 
     def waiting(self, robot: str) -> int:
         """Return the number of waiting priors of a robot."""
