@@ -233,8 +233,8 @@ class Estimator(TeamInput[StepResult]):
 
         """
         scans, associations = self._associate(group, step.scans, used_up)
-        innovation = group.filter.update(
-            [*associations, *self._quarantine.robot_associations(group, step)])
+        associations += self._quarantine.robot_associations(group, step)
+        innovation = group.filter.update(associations)
         if innovation is not NO_INNOVATION:
             self._account(group, step.stamp, innovation)
         for scan in scans:

@@ -7,7 +7,7 @@ While most of its latest scan contradicts the map, it starts no landmarks and ta
 robot-to-robot observation. If that lasts, it restarts in its own frame, where it is on probation.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import replace
 import math
 
@@ -122,14 +122,16 @@ class Quarantine:
                 if key in known)) for part in parts)
         return replace(scan, with_ids=with_ids, associated=associated)
 
-    def robot_associations(self, group: FrameGroup, step: Step) -> Iterator[Association]:
-        """Yield the observations between robots of a group, unless one of the two may be lost."""
+    def robot_associations(self, group: FrameGroup, step: Step) -> list[Association]:
+        """Return the observations between robots of a group; reject them if one may be lost."""
+        kept: list[Association] = []
         for association in group.filter.associate_robots(step.robot_scans):
             observer, observed = association.observer.name, association.observed.name
             if any(map(self._lost_robots.is_suspected, (observer, observed))):
                 self._reject(observer, step.stamp, self._groups.robots[observed].id, observed)
             else:
-                yield association
+                kept.append(association)
+        return kept
 
     def _restart_failing(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart robots whose scans mostly failed, if they can join again by landmarks."""
