@@ -4,7 +4,7 @@
 
 import argparse
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 import logging
@@ -117,9 +117,9 @@ def process(
     arguments: argparse.Namespace, settings: RunSettings, node: str,
     begin: Callable[[RunSettings, Path, bool], SessionT],
     bag_sink: type[BagSink[SessionT]] = BagSink,
-) -> Iterator[tuple[SessionT, dict[str, Any]]]:
+) -> list[tuple[SessionT, dict[str, Any]]]:
     """
-    Run a session over a bag, and a new one after each time jump; yield each with its summary.
+    Run a session over a bag, and a new one after each time jump; return each with its summary.
 
     Each has a folder of its own for its files: DIR, DIR_2, DIR_3, ...
 
@@ -135,6 +135,7 @@ def process(
     messages = team_messages(arguments.bag, settings.estimation, names)
     output_bag = arguments.output / 'bag'
     _check(arguments, output_bag)
+    runs: list[tuple[SessionT, dict[str, Any]]] = []
     folders: list[Path] = []
     stack = ExitStack()
 
@@ -160,18 +161,18 @@ def process(
             session.receive(message)
             if session.inputs.time_jump_detector.has_ended_run():
                 sink.close(session)
-                yield session, session.write_files()
+                runs.append((session, session.write_files()))
                 ended, session = session, start(session.next_settings(output=''))
                 session.continue_from(ended)
             sink.take(message.received or 0, session, session.take())
         sink.end(session)
-        summary = session.write_files()
-    yield session, summary
+        runs.append((session, session.write_files()))
     for folder in folders:
         _renew_picture(folder, arguments.picture)
         _warn_of_earlier(arguments, folder / 'evaluation', 'fej_slam evaluate')
     if not arguments.write_bag:
         _warn_of_earlier(arguments, output_bag, '--bag')
+    return runs
 
 
 def print_tables(

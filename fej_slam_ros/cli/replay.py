@@ -23,7 +23,7 @@ def run(arguments: argparse.Namespace) -> int:
     settings = parameters.load(arguments.params, node_names(arguments, 'estimator'))
     begin = partial(
         EstimatorSession, outputs=EstimatorOutputs if arguments.write_bag else NoOutputs)
-    runs = [*offline_run.process(arguments, settings, 'estimator', begin)]
+    runs = offline_run.process(arguments, settings, 'estimator', begin)
     offline_run.print_tables(
         arguments, [session for session, _ in runs], [run_table(summary) for _, summary in runs])
     return 0

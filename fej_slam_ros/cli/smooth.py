@@ -62,9 +62,9 @@ def run(arguments: argparse.Namespace) -> int:
     settings = _settings(arguments)
     matches = None if arguments.restore else matches_in(
         arguments.bag, settings, names_in(arguments, arguments.bag))
-    runs = [*offline_run.process(
+    runs = offline_run.process(
         arguments, settings, 'smoother', partial(BagSmootherSession, matches=matches),
-        SmoothedSink)]
+        SmoothedSink)
     if matches is not None:
         print(matched_in_words(matches.counts))
     offline_run.print_tables(arguments, [session for session, _ in runs], [

@@ -52,19 +52,19 @@ def convert(arguments: Namespace) -> None:
         tuple(RobotSettings(name, id_) for id_, name in enumerate(names, start=1)),
         anchor=names[0])
     write_with_parameters(
-        lambda: copied.update(_copy(robots, arguments)), settings, arguments,
+        lambda: _copy(robots, arguments, copied), settings, arguments,
         _report(names, robots, copied))
 
 
-def _copy(robots: RobotBags, arguments: Namespace) -> Iterator[str]:
-    """Copy all messages of known types, and yield their topics."""
+def _copy(robots: RobotBags, arguments: Namespace, copied: Counter[str]) -> None:
+    """Copy all messages of known types, and count them by topic."""
     total = sum(topic.messages for topic in robots.topics.values())
     with bags.BagWriter(arguments.output, arguments.storage, arguments.force) as bag:
         for message in tqdm(robots.messages(), total=total, unit='msg', disable=None):
             topic = robots.topics[message.topic]
             if topic.is_known:
                 bag.copy(message, topic.latched)
-                yield message.topic
+                copied[message.topic] += 1
 
 
 def _report(
