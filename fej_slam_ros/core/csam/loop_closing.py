@@ -43,10 +43,9 @@ class ClosedLoops:
 
 def close_loops(joint: JointMap, loops: Sequence[Rendezvous], rules: JoinRules) -> ClosedLoops:
     """Return a map with the rendezvous of its robots that do not contradict the rest."""
-    closed = ClosedLoops(joint)
     if not loops:
-        return closed
-    left = list(_without_gross_outliers(closed, loops, rules))
+        return ClosedLoops(joint)
+    closed, left = _without_gross_outliers(joint, loops, rules)
     while left:
         try:
             solved = with_measurements(joint, measurements_of(left)).solved()
@@ -79,12 +78,14 @@ def measurements_of(loops: Sequence[Rendezvous]) -> list[RendezvousMeasurement]:
 
 
 def _without_gross_outliers(
-    closed: ClosedLoops, loops: Sequence[Rendezvous], rules: JoinRules
-) -> Iterator[Rendezvous]:
-    """Yield the rendezvous without observations that the map contradicts by far."""
-    used = with_measurements(closed.joint, measurements_of(loops))
+    joint: JointMap, loops: Sequence[Rendezvous], rules: JoinRules
+) -> tuple[ClosedLoops, list[Rendezvous]]:
+    """Return a map with reports of what it contradicts by far, and the rest of the rendezvous."""
+    closed = ClosedLoops(joint)
+    left: list[Rendezvous] = []
+    used = with_measurements(joint, measurements_of(loops))
     factors, limit = used.problem.rendezvous, GROSS_FACTOR * rules.limit(2)
-    information = closed.joint.information([*factors.pose, *factors.target])
+    information = joint.information([*factors.pose, *factors.target])
     for loop, r, R, HPH in _residuals(used, information, loops):
         is_outlier = squared_distances(r.reshape(-1, 2), own_blocks(R + HPH)) > limit
         kept = without_few_outliers(loop.measurements, is_outlier.tolist())
@@ -95,7 +96,8 @@ def _without_gross_outliers(
             continue
         if len(kept) < len(is_outlier):
             closed.outliers.append(outlier_report(loop, len(kept)))
-        yield loop._replace(measurements=kept)
+        left.append(loop._replace(measurements=kept))
+    return closed, left
 
 
 def _contradictions(
