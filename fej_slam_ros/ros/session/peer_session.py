@@ -176,21 +176,21 @@ class PeerSession(SmootherSession):
         return smoothed_union, self.team.union_task()
 
     def adopt(self, solution: Any) -> Iterator[Publication]:
-        """Adopt a rendezvous or a solution, and yield its publications."""
+        """Adopt a rendezvous or a solution, and return its publications."""
         if isinstance(solution, TeamSmoother):
             self.team.adopt_union(solution)
-            yield from self._adopted()
-            return
+            return self._adopted()
         peer, result = solution
         self._rendezvous.end(peer, monotonic_ns())
-        if result is not None:
-            self.team.adopt_rendezvous(peer, result)
-            self.log.add_rendezvous(peer, result)
-            yield from self.outputs.of_rendezvous(peer, result)
+        if result is None:
+            return iter(())
+        self.team.adopt_rendezvous(peer, result)
+        self.log.add_rendezvous(peer, result)
+        return self.outputs.of_rendezvous(peer, result)
 
     def adopt_finally(self, final: Any) -> Iterator[Publication]:
         self.team.adopt_finally(final)
-        yield from self._adopted()
+        return self._adopted()
 
     def give_up(self, task: Any, error: str) -> None:
         """Report the error for which there is no rendezvous or no new solution."""

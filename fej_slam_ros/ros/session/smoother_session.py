@@ -130,18 +130,18 @@ class SmootherSession(Session):
         return solution_and_sizes, self.team.task()
 
     def adopt(self, solution: TeamMap) -> Iterator[Publication]:
-        """Adopt a solution and yield its publications."""
+        """Adopt a solution and return its publications."""
         self.team.adopt(solution)
-        yield from self._adopted()
+        return self._adopted()
 
     def give_up(self, task: Any, error: str) -> None:
         """Report the error for which a task has no result; the solution before stays."""
         self._report_unsolved((local.robot for local in task.maps), error)
 
     def adopt_finally(self, final: tuple[TeamMap, MessageSizes]) -> Iterator[Publication]:
-        """Adopt the solution at the end of the input and yield its publications."""
+        """Adopt the solution at the end of the input and return its publications."""
         solution, self.message_sizes = final
-        yield from self.adopt(solution)
+        return self.adopt(solution)
 
     def write_files(self) -> dict[str, Any]:
         content = {
@@ -206,10 +206,10 @@ class SmootherSession(Session):
         return checkpoint.content_of_smoother(self.settings, self.team, self.inputs.snapshot())
 
     def _adopted(self) -> Iterator[Publication]:
-        """Report an adopted solution, and yield its publications."""
+        """Report an adopted solution, and return its publications."""
         self.diagnostics.failed = {}
         self.log.add_solution({})
-        yield from self.outputs.of_solution()
+        return self.outputs.of_solution()
 
     def _report_unsolved(self, robots: Iterable[str], error: str) -> None:
         """Report the error for which robots have no new solution."""
