@@ -139,9 +139,8 @@ class Quarantine:
             state = self._groups.of(robot).state
             remove_untrusted(state, robot)
             if _count_with_ids(state) >= min_landmarks or can_be_found(state):
-                reason = f'likely lost, {self._lost_robots.reason(robot)}'
-                self._lost_robots.restart(robot)
-                self._restart(robot, stamp, reason)
+                self._lost_robots.mark_lost(robot)
+                self._restart(robot, stamp, f'likely lost, {self._lost_robots.reason(robot)}')
 
     def _restart_unjoined(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart lost robots whose own maps share enough landmarks to join, and do not fit."""
@@ -149,7 +148,7 @@ class Quarantine:
         for robot in filter(self._lost_robots.remains_unjoined, robots):
             shared = team.keys() & self._groups.of(robot).state.landmarks.keys()
             if len(shared) >= min_landmarks:
-                self._lost_robots.restart(robot)
+                self._lost_robots.mark_lost(robot)
                 self._restart(
                     robot, stamp, f'its own map has {len(shared)} landmarks of the team and does'
                     ' not fit')

@@ -132,7 +132,7 @@ class ContradictionsByOthers:
         """Forget the observations of a robot."""
         self._counts.pop(robot, None)
 
-    def forget_scans(self, robot: str) -> None:
+    def forget_pose(self, robot: str) -> None:
         """Forget whether landmarks confirm the pose of a robot, which is another one now."""
         self._confirmed.pop(robot, None)
 
@@ -193,12 +193,11 @@ class LostRobotDetector:
         evidence = self._of(robot)
         self._evidence[robot] = replace(evidence, inconclusive=evidence.inconclusive + 1)
         if evidence.inconclusive + 1 == MAX_INCONCLUSIVE:
-            self.forget_scans(robot)
+            self._end_suspicion(robot)
 
-    def restart(self, robot: str) -> None:
-        """Begin the probation of a lost robot that restarts in its own frame."""
+    def mark_lost(self, robot: str) -> None:
+        """Put a robot on probation, with why it counts as lost; `begin_frame` is to follow."""
         self._lost[robot] = LostRobot(self.reason(robot) or '')
-        self.forget_scans(robot)
 
     def mark_found(self, in_map: Container[str]) -> None:
         """Clear the evidence against the robots that were lost and are in ``map`` again."""
@@ -207,21 +206,21 @@ class LostRobotDetector:
 
     def reset(self, robot: str) -> None:
         """Clear the evidence that a robot is lost."""
-        self.forget_scans(robot)
+        self._end_suspicion(robot)
         self._lost.pop(robot, None)
 
     def begin_frame(self, robot: str) -> None:
         """Forget the scans of a robot that restarts, and begin its probation, if any, again."""
-        self.forget_scans(robot)
+        self._end_suspicion(robot)
         if robot in self._lost:
             self._lost[robot] = LostRobot(self._lost[robot].reason)
 
-    def forget_scans(self, robot: str) -> None:
-        """End the suspicion that a robot is lost."""
+    def _end_suspicion(self, robot: str) -> None:
+        """Forget all scans and observations that concern the pose of a robot."""
         self._gated.pop(robot, None)
         self.rejections.forget(robot)
         self._forget_contradictions(robot)
-        self.by_others.forget_scans(robot)
+        self.by_others.forget_pose(robot)
 
     def _forget_contradictions(self, robot: str) -> None:
         self._evidence.pop(robot, None)

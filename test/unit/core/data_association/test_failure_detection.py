@@ -150,7 +150,7 @@ def test_after_ten_inconclusive_scans_a_robot_maps_again():
 
 def test_a_robot_on_probation_shows_by_itself_that_its_scans_fit():
     lost = LostRobotDetector()
-    lost.restart('r1')
+    lost.mark_lost('r1')
 
     lost.add({'r1': ScanGateStatistics(known=4, gated=3)})
 
@@ -159,7 +159,7 @@ def test_a_robot_on_probation_shows_by_itself_that_its_scans_fit():
 
 def test_a_lost_robot_remains_unjoined_after_100_scans_beyond_its_probation():
     lost = LostRobotDetector()
-    lost.restart('r1')
+    lost.mark_lost('r1')
     fits = ScanGateStatistics(known=4)
 
     for _ in range(20 + 99):
@@ -167,7 +167,7 @@ def test_a_lost_robot_remains_unjoined_after_100_scans_beyond_its_probation():
     assert not lost.remains_unjoined('r1')
     lost.add({'r1': fits})
     assert lost.remains_unjoined('r1')
-    lost.restart('r1')
+    lost.mark_lost('r1')
     assert not lost.remains_unjoined('r1')
     assert not lost.remains_unjoined('r2')
 
@@ -208,7 +208,7 @@ def test_scans_of_a_pose_that_was_left_neither_confirm_nor_protect_it():
 
 def test_a_lost_robot_that_restarts_begins_its_probation_again():
     lost = LostRobotDetector()
-    lost.restart('r1')
+    lost.mark_lost('r1')
     for _ in range(18):
         lost.add({'r1': ScanGateStatistics(known=4)})
 
@@ -263,7 +263,8 @@ def test_a_robot_that_was_lost_is_on_probation_until_20_scans_in_a_row_fit():
 
     add(4, 3)
     assert lost.must_restart('r1')
-    lost.restart('r1')
+    lost.mark_lost('r1')
+    lost.begin_frame('r1')
     add(0, 19)
     assert lost.on_probation() == {
         'r1': 'it was lost: 1 more scans must fit the map of its own frame'}
