@@ -10,7 +10,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from fej_slam_ros.core.calibration.from_innovations import (
-    comparable, counts, log_likelihood, most_likely_scales, most_likely_scales_of_robots, run,
+    comparable, counts, log_likelihood, most_likely_odometry_scales, most_likely_scales, run,
     with_scales, with_scans_apart)
 from fej_slam_ros.core.calibration.from_truth import (
     DOF, ERROR_WINDOW, growth_by_truth, normalized_errors, odometry_sigmas)
@@ -254,7 +254,7 @@ def _with_innovations(
     """Return estimates with those of other kinds of noise, over some seconds if possible."""
     start = dict.fromkeys(kinds, 1.0)
     if 'odometry' in kinds:
-        apart = with_scans_apart(records, ERROR_WINDOW)
+        apart = with_scans_apart(records)
         found = most_likely_scales(
             _estimation(values, estimates), apart, kinds, prior, on_run)
         if found['odometry'].is_known():
@@ -286,7 +286,7 @@ def _of_robots(
     on_run()
     if uneven_robots(nis_per_dof(estimator)) is None:
         return _over_windows(of_all)
-    own = most_likely_scales_of_robots(settings, records, 'odometry', prior, on_run)
+    own = most_likely_odometry_scales(settings, records, prior, on_run)
     # A scale of all by one search is better than one combined of many.
     return ScaleEstimate(INNOVATION_WINDOWS, own) if len(own) > 1 else _over_windows(of_all)
 

@@ -19,6 +19,7 @@ import sys
 import numpy as np
 from scipy.optimize import minimize
 
+from fej_slam_ros.core.calibration.from_truth import ERROR_WINDOW
 from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
 from fej_slam_ros.core.calibration.scales_of_errors import OUTLIER_PROBABILITY
 from fej_slam_ros.core.estimator import BrokenEstimateError, Estimator
@@ -121,31 +122,29 @@ def most_likely_scales(
         for (kind, scale), error in zip(scales(theta).items(), errors.tolist())}
 
 
-def most_likely_scales_of_robots(
-    settings: Settings, records: Sequence[Received], kind: str,
-    prior: PriorMap | None = None, on_run: Callable[[], object] = lambda: None,
+def most_likely_odometry_scales(
+    settings: Settings, records: Sequence[Received], prior: PriorMap | None = None,
+    on_run: Callable[[], object] = lambda: None,
 ) -> dict[str, NoiseScale]:
     """
-    Return the maximum-likelihood factor of one kind of noise under '', and those of other robots.
+    Return the maximum-likelihood factor of odometry noise under '', and those of other robots.
 
     These differ from all others, whose factor is then that under ''. The search begins at the
     scales of the settings; `samples` are of all robots. The parameters are those of
     `most_likely_scales`.
 
     """
-    name = f'{kind}_noise_scale'
-
     def scaled(given: Settings, theta: Array) -> Settings:
         return replace(given, robots=tuple(
-            replace(robot, **{name: scale})
+            replace(robot, odometry_noise_scale=scale)
             for robot, scale in zip(given.robots, np.exp(theta).tolist())))
 
     search = _Search(settings, scaled, prior, on_run)
-    start = np.log([getattr(robot, name) for robot in settings.robots])
+    start = np.log([robot.odometry_noise_scale for robot in settings.robots])
     theta, information, records = search.most_likely(records, start, _separate_minimum)
-    samples, errors = counts(records), _standard_errors(information)
+    samples, errors = counts(records)['odometry'], _standard_errors(information)
     own = {
-        robot.name: NoiseScale(scale, error, samples[kind])
+        robot.name: NoiseScale(scale, error, samples)
         for robot, scale, error in zip(settings.robots, np.exp(theta).tolist(), errors.tolist())}
     different = different_robots(own, partial(_combined, own))
     return {'': _combined(own, {*different})} | {robot: own[robot] for robot in different}
@@ -219,15 +218,15 @@ def counts(records: Iterable[Received]) -> Counter[str]:
     return samples
 
 
-def with_scans_apart(records: Iterable[Received], time: int) -> list[Received]:
-    """Return records with one scan of each kind and robot in a time [ns], those of one stamp."""
+def with_scans_apart(records: Iterable[Received]) -> list[Received]:
+    """Return records with one scan of each kind and robot in a window, those of one stamp."""
     latest: dict[tuple[type[Record], str], int] = {}
     kept: list[Received] = []
     for record, received in records:
         if isinstance(record, (Scan, RobotScan)):
             key = type(record), record.robot
             before = latest.get(key, record.stamp)
-            if not record.observations or 0 < abs(record.stamp - before) < time:
+            if not record.observations or 0 < abs(record.stamp - before) < ERROR_WINDOW:
                 continue
             latest[key] = record.stamp
         kept.append((record, received))

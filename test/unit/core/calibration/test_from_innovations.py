@@ -11,7 +11,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from fej_slam_ros.core.calibration.from_innovations import (
-    counts, most_likely_scales, most_likely_scales_of_robots, run, with_scales)
+    counts, most_likely_odometry_scales, most_likely_scales, run, with_scales)
 from fej_slam_ros.core.chi_square import band_per_dof
 from fej_slam_ros.core.estimator import BrokenEstimateError
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan
@@ -41,7 +41,7 @@ def test_robots_that_differ_have_factors_of_their_own(factors, expected):
         with_scaled_noise(of_robots[r.robot], r) if isinstance(r, Odometry) else r
         for r in simulated(2))
 
-    found = most_likely_scales_of_robots(team(), records, 'odometry')
+    found = most_likely_odometry_scales(team(), records)
 
     assert found.keys() == expected.keys()
     assert all(error(found[robot], scale) < 4.0 for robot, scale in expected.items())

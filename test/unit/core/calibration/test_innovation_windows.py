@@ -13,7 +13,7 @@ from fej_slam_ros.core.calibration.from_innovations import (
 from fej_slam_ros.core.calibration.innovation_windows import (
     InnovationWindows, Moments, scales_over_windows)
 from fej_slam_ros.core.geometry import between, compose
-from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
+from fej_slam_ros.core.records import Odometry, RobotScan, Scan
 from helpers.calibration import error, received, simulated
 from helpers.records import claiming, MS, odometry, robot_scan, scan, team
 from helpers.slow import slow
@@ -101,7 +101,7 @@ def test_errors_of_odometry_that_persist_count_over_5_s():
         np.array([0.03, 0.03, 0.01])))
     kinds = ['odometry', 'landmark']
 
-    over_5_s = most_likely_scales(team(), with_scans_apart(records, 5 * NS), kinds)['odometry']
+    over_5_s = most_likely_scales(team(), with_scans_apart(records), kinds)['odometry']
     single = most_likely_scales(team(), records, kinds)['odometry']
 
     assert over_5_s.is_known()
@@ -145,7 +145,7 @@ def test_scans_apart_are_one_of_each_kind_and_robot_in_the_time():
         scan('r2', ms + 250, [(1, (2.0, 0.0))]))]
     late = scan('r1', 9900, [(1, (2.0, 0.0))])
 
-    kept = [record for record, _ in with_scans_apart(received([*messages, *scans, late]), 5 * NS)]
+    kept = [record for record, _ in with_scans_apart(received([*messages, *scans, late]))]
 
     assert kept[:len(messages)] == messages
     assert [(type(record), record.robot, record.stamp // MS) for record in kept[24:]] == [
