@@ -8,6 +8,7 @@ a `parameter` is a ROS parameter of the same name. ``Common...`` classes hold th
 both the estimator and the smoother; their subclasses add those of one of them.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, KW_ONLY, replace
 from typing import Any
 
@@ -215,6 +216,11 @@ class EstimatorSettings(CommonSettings):
 @dataclass(frozen=True)
 class Settings(EstimatorSettings, SmootherSettings):
     """The settings of either of them."""
+
+
+def numbered_robots(names: Iterable[str]) -> tuple[RobotSettings, ...]:
+    """Return robots with the default settings; their IDs are their positions, from 1."""
+    return tuple(RobotSettings(name, id_) for id_, name in enumerate(names, start=1))
 
 
 def with_equal_noise(settings: Settings, **noise: Any) -> Settings:

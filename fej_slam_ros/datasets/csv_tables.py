@@ -27,7 +27,7 @@ from fej_slam_ros.core.parameter_kinds import ROBOT_NAMES
 from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
-from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings, Triple
+from fej_slam_ros.core.settings import numbered_robots, ORIGIN, Settings, Triple
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import divided, observed_name
 from fej_slam_ros.errors import UserError
@@ -140,9 +140,8 @@ def settings(records: Iterable[Record]) -> Settings:
         elif isinstance(record, TruePose):
             true_poses[record.robot].append(record)
     anchor, *_ = names = sorted(of_robots)
-    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(names, start=1))
     start = _true_start(of_robots[anchor], true_poses[anchor])
-    return Settings(robots, anchor=anchor, anchor_pose=start or ORIGIN)
+    return Settings(numbered_robots(names), anchor=anchor, anchor_pose=start or ORIGIN)
 
 
 def _true_start(odometry: Sequence[Odometry], true_poses: Iterable[TruePose]) -> Triple | None:

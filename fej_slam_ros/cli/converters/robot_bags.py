@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from fej_slam_ros.cli.arguments import refuse_input_as_output
 from fej_slam_ros.cli.converters.common import add_output, write_with_parameters
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import numbered_robots, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.ros import parameters
 from fej_slam_ros.ros.files import bags
@@ -48,9 +48,7 @@ def convert(arguments: Namespace) -> None:
         refuse_input_as_output(arguments.output, bag)
     robots = RobotBags(dict(arguments.input))
     copied: Counter[str] = Counter()
-    settings = Settings(
-        tuple(RobotSettings(name, id_) for id_, name in enumerate(names, start=1)),
-        anchor=names[0])
+    settings = Settings(numbered_robots(names), anchor=names[0])
     write_with_parameters(
         lambda: _copy(robots, arguments, copied), settings, arguments,
         _report(names, robots, copied))

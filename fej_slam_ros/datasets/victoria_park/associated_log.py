@@ -19,7 +19,7 @@ import numpy as np
 
 from fej_slam_ros.core.geometry import Array, compose, wrap
 from fej_slam_ros.core.records import NS, Observation, Odometry, Record, Scan
-from fej_slam_ros.core.settings import RobotSettings, Settings, Triple
+from fej_slam_ros.core.settings import numbered_robots, Settings, Triple
 from fej_slam_ros.datasets.file_checks import errors_name, require_folder, require_landmark_ids
 from fej_slam_ros.datasets.matlab import joined_rows, matrices
 from fej_slam_ros.errors import UserError
@@ -64,7 +64,7 @@ CAR_TEAMS = {
 
 def settings(team: CarTeam) -> Settings:
     """Return the settings of a run as in [Liu]; the records carry the noise."""
-    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(team.poses, start=1))
+    robots = numbered_robots(team.poses)
     return Settings(
         robots, anchor=robots[0].name, anchor_pose=team.anchor_pose,
         anchor_sigma=team.anchor_sigma, filter='fej', start_covariance='independent',

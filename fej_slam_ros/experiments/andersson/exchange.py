@@ -14,7 +14,7 @@ from fej_slam_ros.core.peers.rendezvous_window import (
     contents, rendezvous_task, RendezvousResult, solve_rendezvous)
 from fej_slam_ros.core.peers.team_logs import TeamLogs
 from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import numbered_robots, Settings
 from fej_slam_ros.experiments.andersson.experiment import Scene
 
 #: Share of the messages that the link loses, and period in which messages are sent [ns].
@@ -35,9 +35,7 @@ class Exchanged:
 def exchange(scene: Scene, seed: int) -> Exchanged | None:
     """Return the exchange of two robots after their drive; None if they are not aligned."""
     names, rng = scene.truth.robots, np.random.default_rng(seed)
-    settings = Settings(
-        tuple(RobotSettings(name, k) for k, name in enumerate(names, start=1)), names[0],
-        shared_landmark_ids=False)
+    settings = Settings(numbered_robots(names), names[0], shared_landmark_ids=False)
     logs = {robot.name: TeamLogs(robot.name, 1, robot) for robot in settings.robots}
     for record in scene.records:
         if isinstance(record, (Odometry, Scan, RobotScan)):

@@ -23,7 +23,7 @@ from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.geometry import Array, between, inverse, pose_difference, transform
 from fej_slam_ros.core.records import LandmarkKey, Record
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import numbered_robots, Settings
 from fej_slam_ros.sim.environments import RENDEZVOUS_ENVIRONMENTS
 from fej_slam_ros.sim.rendezvous_world import RendezvousWorld
 
@@ -139,9 +139,7 @@ def _smoothing_task(
     robots: Sequence[str], records: Sequence[Record]
 ) -> team_solution.SmoothingTask:
     """Return the task that a team's smoother makes of records, not yet solved."""
-    team = TeamSmoother(Settings(
-        tuple(RobotSettings(name, id=k) for k, name in enumerate(robots, start=1)), robots[0],
-        shared_landmark_ids=False))
+    team = TeamSmoother(Settings(numbered_robots(robots), robots[0], shared_landmark_ids=False))
     deque(team.run(records), maxlen=0)
     return team.task()
 

@@ -18,7 +18,7 @@ from fej_slam_ros.core.geometry import Array, pose_difference
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.sequencer import Sequencer
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, Step
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import numbered_robots, Settings
 from fej_slam_ros.experiments.liu.configurations import Configuration, TABLE_FILTERS
 from fej_slam_ros.sim.sensors import measure, SensorSettings
 from fej_slam_ros.sim.world import World
@@ -113,7 +113,7 @@ def stack(runs: Sequence[Errors]) -> Errors:
 def _settings(world: World) -> Settings:
     """Return the parameters of a run; the first robot's start is known, as in [Liu]."""
     x, y, phi = world.true_poses[world.robots[0]][0].tolist()
-    robots = tuple(RobotSettings(name, id_) for id_, name in enumerate(world.robots, 1))
+    robots = numbered_robots(world.robots)
     return Settings(
         robots, anchor=robots[0].name, anchor_pose=(x, y, phi), gate_probability=1.0,
         join_min_landmarks=NEVER_RESTART)

@@ -21,7 +21,7 @@ from fej_slam_ros.core.ekf.observability import (
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Record
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import numbered_robots, Settings
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim.environments import ENVIRONMENTS
 from fej_slam_ros.tables import markdown_table
@@ -130,7 +130,7 @@ def _estimator(filter_name: str, case: ObservabilityCase, steps: int, seed: int)
     for what, count in ('robots', case.robots), ('steps', steps):
         if count < 1:
             raise UsageError(f'{what}: {count} are too few to observe anything, use 1 or more')
-    team = tuple(RobotSettings(f'r{i}', i) for i in range(1, case.robots + 1))
+    team = numbered_robots(f'r{i}' for i in range(1, case.robots + 1))
     estimator = Estimator(Settings(
         team, anchor=team[0].name, filter=filter_name, gate_probability=1.0))
     for record in _records(tuple(robot.name for robot in team), case, steps, seed):

@@ -12,7 +12,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array, rotation, transform
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.core.rejections import RejectionReason
-from fej_slam_ros.core.settings import RobotSettings
+from fej_slam_ros.core.settings import numbered_robots
 from fej_slam_ros.detection.detections import Detections
 from fej_slam_ros.detection.detector import StampedScan
 from fej_slam_ros.detection.laser_scan import LaserScan
@@ -43,8 +43,7 @@ class DetectorSession(FrontEnd):
 
     def __init__(self, settings: DetectorSettings) -> None:
         self._settings = settings
-        self.robots = {
-            name: RobotSettings(name, k) for k, name in enumerate(settings.robots, start=1)}
+        self.robots = {robot.name: robot for robot in numbered_robots(settings.robots)}
         self._frames = SensorFrames(self.robots, settings.tf_topics)
         self.detectors = {name: RobotDetector(name, settings) for name in settings.robots}
         self.topics = {
