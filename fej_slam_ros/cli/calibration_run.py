@@ -23,7 +23,7 @@ from fej_slam_ros.core.calibration.scales_of_errors import Errors, noise_scales
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_GAIN
 from fej_slam_ros.core.calibration.systematic_errors import (
     errors_by_truth, SystematicErrors, with_corrected_headings, with_errors_by_landmarks)
-from fej_slam_ros.core.calibration.team_records import team_records, TeamRecords
+from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 from fej_slam_ros.core.records import NS, Odometry, PriorMap, Received, TrueLandmarks
@@ -108,7 +108,7 @@ def _calibrated_by(
     corrected, growth, sigmas = _with_systematic_errors(values, errors), None, dict[str, Triple]()
     team = None
     if arguments.source != 'innovations':
-        team = team_records(records, settings)
+        team = TeamRecords(records, settings)
         sigmas = odometry_sigmas(team, parsed(corrected).estimation)
         growth = growth_by_truth(team, parsed(corrected).estimation)
         corrected = _with_noise_growth(_with_odometry_sigmas(corrected, sigmas), growth)

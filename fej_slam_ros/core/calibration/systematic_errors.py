@@ -12,7 +12,7 @@ from fej_slam_ros.core.calibration.errors_by_landmarks import fit_to_landmarks
 from fej_slam_ros.core.calibration.observation_errors import fit_observations, given_observations
 from fej_slam_ros.core.calibration.odometry_errors import fit_to_truth, given_odometry
 from fej_slam_ros.core.calibration.shown_errors import ErrorEstimate, MIN_SIGMAS, suffice
-from fej_slam_ros.core.calibration.team_records import team_records
+from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.calibration.true_motions import true_motions, TrueMotions
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import Received, TruePose
@@ -65,7 +65,7 @@ class SystematicErrors:
 
 def errors_by_truth(records: Sequence[Received], settings: Settings) -> SystematicErrors:
     """Return the errors that ground truth shows."""
-    team = team_records(records, settings)
+    team = TeamRecords(records, settings)
     odometry, headings, heading_sigmas = {}, {}, {}
     for robot in settings.robots:
         motions = true_motions(team.odometry[robot.name], team.truth)
@@ -77,7 +77,7 @@ def errors_by_truth(records: Sequence[Received], settings: Settings) -> Systemat
             if suffice(motions.firsts):
                 odometry[robot.name] = errors
     if headings:
-        team = team_records(with_corrected_headings(records, headings), settings)
+        team = TeamRecords(with_corrected_headings(records, headings), settings)
     landmarks = team.truth.landmarks if settings.shared_landmark_ids else {}
     observations = {}
     for robot in settings.robots:
@@ -111,7 +111,7 @@ def with_errors_by_landmarks(
     found: SystematicErrors, records: Sequence[Received], settings: Settings
 ) -> SystematicErrors:
     """Return errors with those of other robots, which landmarks show."""
-    team = team_records(records, settings)
+    team = TeamRecords(records, settings)
     errors = {
         robot.name: fit_to_landmarks(team.odometry[robot.name], team.scans[robot.name], robot)
         for robot in settings.robots if robot.name not in found.odometry_by_truth}

@@ -9,7 +9,7 @@ from operator import attrgetter
 from fej_slam_ros.core.geometry import Array, between, compose, pose_at
 from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import (
-    NS, Odometry, Received, Record, RobotScan, Scan, TrueLandmarks, TruePose)
+    NS, Odometry, Received, RobotScan, Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import Settings
 
 #: Time [ns] from a sparse true pose within which odometry leads to others; its error is small
@@ -22,12 +22,13 @@ MAX_ODOMETRY_GAP = NS
 class TeamRecords:
     """Odometry and scans of each robot in the order of their stamps, and ground truth."""
 
-    def __init__(self, records: Iterable[Record], robots: Sequence[str]) -> None:
+    def __init__(self, records: Iterable[Received], settings: Settings) -> None:
+        robots = [robot.name for robot in settings.robots]
         self.truth = RecordedTruth()
         self.odometry: dict[str, list[Odometry]] = {robot: [] for robot in robots}
         self.scans: dict[str, list[Scan]] = {robot: [] for robot in robots}
         self.robot_scans: dict[str, list[RobotScan]] = {robot: [] for robot in robots}
-        for record in records:
+        for record, _ in records:
             if isinstance(record, (TruePose, TrueLandmarks)):
                 self.truth.add(record)
             elif isinstance(record, Odometry):
@@ -42,12 +43,6 @@ class TeamRecords:
         #: true poses of each robot
         self.near = {
             robot: NearTruth(self.truth, robot, self.odometry[robot]) for robot in robots}
-
-
-def team_records(records: Iterable[Received], settings: Settings) -> TeamRecords:
-    """Return the records of the robots of a team."""
-    return TeamRecords(
-        (record for record, _ in records), [robot.name for robot in settings.robots])
 
 
 class NearTruth:

@@ -11,7 +11,7 @@ from scipy.optimize import nnls
 
 from fej_slam_ros.core.calibration.from_truth import DOF, normalized_errors
 from fej_slam_ros.core.calibration.scales_of_errors import noise_scale
-from fej_slam_ros.core.calibration.team_records import team_records
+from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.records import Odometry, TruePose
 from fej_slam_ros.datasets.mrclam import camera_errors, command_errors, observation_errors
 from fej_slam_ros.datasets.mrclam.camera_errors import (
@@ -154,7 +154,7 @@ def _correlation_factor(data: MrclamSet, options: ConversionOptions) -> float:
         (record, None) for record in records(data, single, defaultdict(Counter))
         if not isinstance(record, Odometry)]
     of_run = settings(data, single)
-    errors = normalized_errors(team_records(observed, of_run), of_run)
+    errors = normalized_errors(TeamRecords(observed, of_run), of_run)
     of_robots = [
         noise_scale(squared, DOF['landmark']) for robot in data.logs
         if (squared := [d2 for kind in errors.values() for d2 in kind[robot_name(robot)]])]
@@ -168,7 +168,7 @@ def _odometry_variance_factor(data: MrclamSet, options: ConversionOptions) -> fl
         (record, None) for record in records(data, options, defaultdict(Counter))
         if isinstance(record, (Odometry, TruePose))]
     of_run = settings(data, options)
-    errors = normalized_errors(team_records(motions, of_run), of_run)
+    errors = normalized_errors(TeamRecords(motions, of_run), of_run)
     if 'odometry' not in errors:
         return 1.0
     found = noise_scale([*chain.from_iterable(errors['odometry'].values())], DOF['odometry'])

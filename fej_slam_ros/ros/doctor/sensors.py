@@ -15,7 +15,7 @@ import numpy as np
 
 from fej_slam_ros.core.calibration.sensor_pose import fit_sensor, SensorFit
 from fej_slam_ros.core.calibration.shown_errors import MIN_SIGMAS
-from fej_slam_ros.core.calibration.team_records import team_records
+from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.ordering.corrected_observations import without_observation_errors
 from fej_slam_ros.core.records import Odometry, Scan
 from fej_slam_ros.core.settings import RobotSettings
@@ -99,7 +99,7 @@ def check(
         return _first_messages(bags.read(path, names), robots)
 
     posts = _posts(_received(first_messages(), inputs), lasers, collector.robots)
-    team = team_records(collector.records, settings.estimation)
+    team = TeamRecords(collector.records, settings.estimation)
     fits = _fits(any_post.robots, team.odometry, posts)
     reversed_fits: Fits = {}
     if any(fit is not None and fit.as_given > SUSPICIOUS for fit in fits.values()):

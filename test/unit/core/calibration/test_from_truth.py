@@ -10,7 +10,7 @@ import pytest
 
 from fej_slam_ros.core.calibration.from_truth import DOF, normalized_errors
 from fej_slam_ros.core.calibration.scales_of_errors import noise_scales
-from fej_slam_ros.core.calibration.team_records import team_records
+from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.records import Odometry, RobotScan, Scan, TrueLandmarks, TruePose
 from fej_slam_ros.ros.session import simulation
 from helpers.records import claiming, odometry, scan, team, true_pose
@@ -29,7 +29,7 @@ def simulated(seed, **changes):
 def errors_in(records, **changes):
     settings = team(**changes)
     return normalized_errors(
-        team_records([(record, None) for record in records], settings), settings)
+        TeamRecords([(record, None) for record in records], settings), settings)
 
 
 def scales(records, **changes):

@@ -14,11 +14,13 @@ from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.geometry import compose, inverse, rotation, transform
 from fej_slam_ros.core.records import (
     NS, Observation, Odometry, RobotObservation, RobotScan, Scan, TrueLandmarks, TruePose)
-from fej_slam_ros.core.settings import RobotSettings, Settings
+from fej_slam_ros.core.settings import numbered_robots, Settings
+from helpers.calibration import received
 
 SIGMA, SECONDS = 0.05, 400
 R = SIGMA ** 2 * np.eye(2)
 NO_ERRORS = np.array([1.0, 0.0])
+TEAM = Settings(numbered_robots('pq'), 'p')
 
 
 def run(scale=1.0, bias=0.0, seed=1, speed=0.6, misaligned=0.0):
@@ -56,7 +58,7 @@ def run(scale=1.0, bias=0.0, seed=1, speed=0.6, misaligned=0.0):
 
 
 def fit(records, given=NO_ERRORS, use=('landmarks', 'robots')):
-    team = TeamRecords(records, ['p', 'q'])
+    team = TeamRecords(received(records), TEAM)
     scans = [
         *(team.scans['p'] if 'landmarks' in use else ()),
         *(team.robot_scans['p'] if 'robots' in use else ())]
@@ -115,9 +117,8 @@ def test_wrong_ids_are_left_out():
 def test_a_turned_frame_of_motion_capture_is_no_bearing_bias():
     """Odometry shows in which direction a robot travels, in the frame of its sensor."""
     records, _ = run(1.03, 0.0, misaligned=0.05)
-    settings = Settings([RobotSettings('p', 1), RobotSettings('q', 2)], 'p')
 
-    errors = errors_by_truth([(record, None) for record in records], settings)
+    errors = errors_by_truth(received(records), TEAM)
 
     # Four standard errors of the direction of 79 motions of about 3 m with errors of 5 mm.
     heading, sigma = errors.headings['p']
@@ -131,9 +132,8 @@ def test_odometry_that_stands_still_shows_no_direction_of_travel():
     records, _ = run()
     stuck = [
         replace(r, pose=np.zeros(3)) if isinstance(r, Odometry) else r for r in records]
-    settings = Settings([RobotSettings('p', 1), RobotSettings('q', 2)], 'p')
 
-    assert errors_by_truth([(record, None) for record in stuck], settings).headings == {}
+    assert errors_by_truth(received(stuck), TEAM).headings == {}
 
 
 @pytest.mark.parametrize('error', [(1.5, 0.0), (1.0, np.pi / 2.0)])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.calibration.from_truth import odometry_sigmas
-from fej_slam_ros.core.calibration.team_records import team_records
+from fej_slam_ros.core.calibration.team_records import TeamRecords
 from fej_slam_ros.core.geometry import compose
 from fej_slam_ros.core.records import NS, Odometry, TruePose
 from fej_slam_ros.core.settings import RobotSettings, Settings
@@ -35,7 +35,7 @@ def driving(seed, sigma, seconds=900, covariance=None):
 def found(records):
     settings = Settings((RobotSettings('r1', 1, odometry_sigma=STATED),), anchor='r1')
     return odometry_sigmas(
-        team_records([(record, None) for record in records], settings), settings)
+        TeamRecords([(record, None) for record in records], settings), settings)
 
 
 @pytest.mark.parametrize('sigma', [(0.02, 0.02, 0.05), (0.2, 0.2, 0.02), (0.05, 0.05, 0.1)])
