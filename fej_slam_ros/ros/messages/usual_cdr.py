@@ -44,7 +44,7 @@ def read_odometry(raw: bytes) -> Odometry | None:
     try:
         sec, nanosec, length = _HEAD.unpack_from(raw, 4)
         frame = raw[16:16 + length]
-        at = 16 + -(-length // 4) * 4
+        at = 16 + _padded(length)
         (length,) = _LENGTH.unpack_from(raw, at)
     except error:
         return None
