@@ -37,9 +37,7 @@ def solution_and_sizes(task: SmoothingTask) -> tuple[TeamMap, MessageSizes]:
         maps, [m for m in task.measurements if {m.observer, m.observed} <= names])
 
 
-def sizes(
-    maps: Sequence[LocalMap], measurements: Measurements
-) -> dict[tuple[str, str], dict[str, int]]:
+def sizes(maps: Sequence[LocalMap], measurements: Measurements) -> MessageSizes:
     """
     Return the size of each form [bytes] for each (sender, receiver) with a rendezvous.
 
@@ -50,20 +48,18 @@ def sizes(
 
     """
     poses = _sent_poses(measurements)
-    of_all: dict[tuple[str, str], dict[str, int]] = {}
+    of_all: dict[tuple[str, str], Mapping[str, int]] = {}
     for local in maps:
         of_sender = {pair: sent for pair, sent in poses.items() if pair[0] == local.robot}
         try:
             # Sizes do not depend on the values, and outliers would keep a map from a minimum.
-            of_all |= _sizes_of_sender(JointMap.unsolved(local), of_sender)
+            of_all.update(_sizes_of_sender(JointMap.unsolved(local), of_sender))
         except SingularError:
             continue
     return {pair: of_all[pair] for pair in poses if pair in of_all}
 
 
-def _sizes_of_sender(
-    local: JointMap, poses: Mapping[tuple[str, str], Indices]
-) -> dict[tuple[str, str], dict[str, int]]:
+def _sizes_of_sender(local: JointMap, poses: Mapping[tuple[str, str], Indices]) -> MessageSizes:
     """Return the sizes of the messages of a robot, given the poses (k,) that it sends."""
     if not poses:
         return {}
