@@ -92,9 +92,10 @@ class Estimator(TeamInput[StepResult]):
         lowest_id = NO_ID if prior is None else min([NO_ID, *prior.ids])
         self.landmark_manager = LandmarkManager(lowest_id)
         self.innovations = innovations or InnovationMonitor()
-        self._joiner = TeamJoiner(
-            settings, self.groups, self.landmark_manager, self.statistics, self._pose_priors)
         self._quarantine = Quarantine(self.groups, self.statistics, self.innovations.lost_robots)
+        self._joiner = TeamJoiner(
+            settings, self.groups, self.landmark_manager, self.statistics, self._pose_priors,
+            self._quarantine)
         self.change_team(settings.robots)
 
     def change_team(

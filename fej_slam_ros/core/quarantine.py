@@ -36,10 +36,10 @@ class Quarantine:
     def restart_after(self, motion: Motion) -> bool:
         """Restart a robot in a frame of its own if its motion is unknown; return whether it is."""
         if motion.impossible:
-            self._restart(motion.robot, motion.stamp, motion.impossible)
+            self.restart(motion.robot, motion.stamp, motion.impossible)
             self._lost_robots.reset(motion.robot)
         elif is_too_uncertain(motion.Q):
-            self._restart(
+            self.restart(
                 motion.robot, motion.stamp,
                 'the gap in its odometry is too long, or its twist.covariance too large, for a'
                 ' prediction')
@@ -79,7 +79,7 @@ class Quarantine:
         filter_ = self._groups.of(robot).filter
         sigmas = filter_.direction_sigmas(filter_.state.robots[robot], seen)
         if (sigmas > filter_.linearization.max_turn_sigma).any():
-            self._restart(robot, stamp, reason)
+            self.restart(robot, stamp, reason)
 
     def restart_lost(self, step: Step, min_landmarks: int) -> None:
         """Restart robots that the scans up to a step, its own included, show to be lost."""
@@ -140,7 +140,7 @@ class Quarantine:
             remove_untrusted(state, robot)
             if _count_with_ids(state) >= min_landmarks or can_be_found(state):
                 self._lost_robots.mark_lost(robot)
-                self._restart(robot, stamp, f'likely lost, {self._lost_robots.reason(robot)}')
+                self.restart(robot, stamp, f'likely lost, {self._lost_robots.reason(robot)}')
 
     def _restart_unjoined(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart lost robots whose own maps share enough landmarks to join, and do not fit."""
@@ -149,7 +149,7 @@ class Quarantine:
             shared = team.keys() & self._groups.of(robot).state.landmarks.keys()
             if len(shared) >= min_landmarks:
                 self._lost_robots.mark_lost(robot)
-                self._restart(
+                self.restart(
                     robot, stamp, f'its own map has {len(shared)} landmarks of the team and does'
                     ' not fit')
 
@@ -159,7 +159,7 @@ class Quarantine:
             observations = self._lost_robots.by_others.count(robot)
             if observations:
                 remove_untrusted(self._groups.of(robot).state, robot)
-                self._restart(
+                self.restart(
                     robot, stamp,
                     f'{observations} observations of it in a row contradict its pose')
 
@@ -171,7 +171,7 @@ class Quarantine:
             count, group = self._lost_robots.rejections.count(robot), self._groups.of(robot)
             if count and _can_leave(group, min_landmarks):
                 remove_untrusted(group.state, robot)
-                self._restart(
+                self.restart(
                     robot, stamp, f'{count} observations by and of it in a row failed the gate')
 
     def _restart_ambiguous(self, robots: Iterable[str], stamp: int) -> None:
@@ -185,10 +185,11 @@ class Quarantine:
         for robot in robots:
             observations = self._lost_robots.ambiguous(robot)
             if observations and can_be_found(self._groups.of(robot).state):
-                self._restart(
+                self.restart(
                     robot, stamp, f'{observations} observations in a row fit several landmarks')
 
-    def _restart(self, robot: str, stamp: int, reason: str) -> None:
+    def restart(self, robot: str, stamp: int, reason: str) -> None:
+        """Restart a robot in a frame of its own, without what concerns its former pose."""
         self._lost_robots.begin_frame(robot)
         self._statistics.count_restart(robot, reason)
         self._groups.restart(robot, stamp, reason)

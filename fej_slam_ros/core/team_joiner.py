@@ -29,6 +29,7 @@ from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
 from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
+from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
     is_too_uncertain, LandmarkKey, NO_ID, NS, RendezvousKey, RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
@@ -53,12 +54,14 @@ class TeamJoiner:
     def __init__(
         self, settings: Settings, groups: FrameGroups, landmark_manager: LandmarkManager,
         statistics: InputStatistics, pose_priors: PosePriors,
+        quarantine: Quarantine,
     ) -> None:
         self._settings = settings
         self._groups = groups
         self._landmark_manager = landmark_manager
         self._statistics = statistics
         self._pose_priors = pose_priors
+        self._quarantine = quarantine
         self._joiner = _map_joiner(settings)
         # By the frames of two groups: when their landmarks without ID were compared [ns], and why
         # they do not join.
@@ -114,7 +117,7 @@ class TeamJoiner:
         for name, robot in [*team.robots.items()]:
             has_start = self._groups.robots[name].start_pose is not None
             if has_start and is_too_uncertain(team.state.marginal([robot]) - P_map):
-                self._restart(name, stamp, 'its pose is too uncertain to linearise')
+                self._quarantine.restart(name, stamp, 'its pose is too uncertain to linearise')
 
     def add_rendezvous_points(
         self, scan: RobotScan, is_suspected: Callable[[str], bool]
@@ -161,7 +164,7 @@ class TeamJoiner:
         self._statistics.pose_priors_used[robot] += len(due)
         for prior in due:
             if is_too_uncertain(prior.P):
-                self._restart(robot, stamp, 'its pose is not known')
+                self._quarantine.restart(robot, stamp, 'its pose is not known')
             else:
                 self._groups.place(robot, stamp, prior.pose, prior.P)
         return bool(due)
@@ -300,10 +303,6 @@ class TeamJoiner:
         else:
             self._groups.mark_joined([robot])
             self._groups.rename(group)
-
-    def _restart(self, robot: str, stamp: int, reason: str) -> None:
-        self._statistics.count_restart(robot, reason)
-        self._groups.restart(robot, stamp, reason)
 
     def _reject(
         self, key: RendezvousKey, reason: RejectionReason, d2: float | None = None,

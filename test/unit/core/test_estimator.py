@@ -652,3 +652,29 @@ def test_observations_that_an_ending_process_leaves_out_are_counted(monkeypatch)
     assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.INTERRUPTED: 4}
     assert [r.id for r in estimator.statistics.rejections] == [2, 3, 4, 5]
     assert estimator.statistics.observations_used['r1'] == 6 + 2
+
+
+def test_a_robot_that_step_0_restarts_maps_at_once_whatever_its_former_pose_contradicted():
+    points = {11: (3.0, 1.0), 12: (4.0, -1.0), 13: (2.0, 3.0), 14: (5.0, 2.0), 15: (-3.0, 1.0)}
+    # r2 starts with a heading that is too uncertain to be linearised.
+    estimator = Estimator(team(known=[('r2', (0.0, 5.0, 0.0), (0.1, 0.1, 1.5))]))
+    for k in range(12):
+        for robot in 'r1', 'r2':
+            estimator.add(odometry(robot, 100 * k, pose=[0.0, 0.0, 0.0]))
+        if 1 <= k <= 6:
+            estimator.add(scan('r2', 100 * k, [*points.items()]))
+        if 7 <= k <= 8:  # scans that fail the gate
+            estimator.add(scan('r2', 100 * k, [
+                (landmark, (x + 3.0, y - 4.0)) for landmark, (x, y) in points.items()]))
+        if k == 9:  # step 0
+            estimator.add(scan('r1', 900, [(50, (1.0, 1.0))]))
+        if k == 10:
+            estimator.add(scan('r2', 1000, [
+                (landmark + 20, point) for landmark, point in points.items()]))
+    for _ in estimator.close():
+        pass
+
+    assert estimator.groups.of('r2') is not estimator.groups.team
+    mapped = {landmark for _, landmark in estimator.groups.of('r2').state.landmarks}
+    assert mapped == {landmark + 20 for landmark in points}
+    assert estimator.statistics.total(RejectionReason.LOST_ROBOT) == 0

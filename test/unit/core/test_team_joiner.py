@@ -6,6 +6,7 @@ import numpy as np
 from numpy.testing import assert_allclose
 import pytest
 
+from fej_slam_ros.core.data_association.failure_detection import LostRobotDetector
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
 from fej_slam_ros.core.frame_groups import FrameGroups
 from fej_slam_ros.core.ground_truth import RecordedTruth
@@ -13,6 +14,7 @@ from fej_slam_ros.core.join_failure import JoinFailure
 from fej_slam_ros.core.joining.map_joining import MapJoiner
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import PosePriors
+from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
     NS, PosePrior, RendezvousKey, RobotObservation, RobotScan, UNKNOWN_POSE_COVARIANCE)
 from fej_slam_ros.core.rejections import RejectionReason
@@ -44,7 +46,8 @@ class Joining:
         self.groups.is_initialized = True
         self.pose_priors = PosePriors(self.statistics)
         self.joiner = TeamJoiner(
-            settings, self.groups, LandmarkManager(), self.statistics, self.pose_priors)
+            settings, self.groups, LandmarkManager(), self.statistics, self.pose_priors,
+            Quarantine(self.groups, self.statistics, LostRobotDetector()))
 
     def observe_landmarks(self, robot, points, first_id=0):
         """Let a robot start confirmed landmarks at points of the base frame, numbered on."""
