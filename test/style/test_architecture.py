@@ -82,7 +82,8 @@ RULES = {
     'core/new_landmarks.py': in_core('ekf', 'ordering'),
     'core/innovation_monitor.py': in_core('ekf', 'data_association'),
     'core/team_joiner.py': in_core(
-        'frame_groups', 'new_landmarks', 'ekf', 'joining', 'data_association', 'ordering'),
+        'frame_groups', 'quarantine', 'new_landmarks', 'ekf', 'joining', 'data_association',
+        'ordering'),
     'core/quarantine.py': in_core('frame_groups', 'ordering', 'ekf', 'data_association'),
     'core/prediction.py': in_core('ordering'),
     'core/snapshot.py': in_core(
