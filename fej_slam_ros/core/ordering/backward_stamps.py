@@ -10,10 +10,11 @@ mix, or return to a time far before all others.
 """
 
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Indices, Stamps
+from fej_slam_ros.core.geometry import Flags, Indices, Stamps
 from fej_slam_ros.core.records import NS
 
 #: Steps back up to this [ns] are the disorder of threads and buffers.
@@ -21,14 +22,13 @@ MAX_DISORDER = NS // 10
 #: Share of the rows of a regular log below which a span of stamps has a gap, if more than
 #: `MAX_PERIODS` rows are missing.
 MIN_DENSITY = 0.5
-#: Share of the rows that a clock set back writes too many, from which a time was passed twice.
-MIN_SURPLUS = 0.5
+#: Share of the rows after a step back, and number of rows, that must be too many for their time.
+MIN_SURPLUS, MIN_SURPLUS_ROWS = 0.5, 1.25
+#: Relative error of the period of a log at a step back.
+PERIOD_ERROR = 0.05
 #: Minimum length, in rows at the mean rate, of the windows before and after a step back whose
 #: rates are compared.
 NEARBY_ROWS = 20
-#: Largest number of alternations, in the order of stamps, between rows recorded before and after a
-#: step back that late rows explain: a block that fills a gap causes three, disorder a few more.
-MAX_CHANGES = 6
 #: Maximum number of parts into which a log is divided; more are disorder of another kind.
 MAX_PARTS = 100
 #: Steps longer than this multiple of the median step are gaps; the mean rate leaves them out.
@@ -61,10 +61,9 @@ def recorded_order(stamps: Stamps) -> Indices:
     Their own order says on which side of a step of the clock they were recorded; sorted by stamp,
     it is lost.
     """
-    order = np.arange(len(stamps))
-    longest = max(MAX_PERIODS * period(stamps), MAX_DISORDER)
-    steps = np.diff(stamps)
-    jumps = (np.flatnonzero((steps < -MAX_DISORDER) | (steps > longest)) + 1).tolist()
+    order, step = np.arange(len(stamps)), period(stamps)
+    longest = max(MAX_PERIODS * step, MAX_DISORDER)
+    jumps = _jumps(stamps, step).tolist()
     end = 0
     for first, *later in (jumps[k:k + MAX_JUMPS] for k in range(len(jumps))):
         for middle, last in combinations(later, 2):
@@ -82,7 +81,9 @@ def breaks(stamps: Stamps) -> list[int]:
     The log is divided at the step back where its rows mix most, then both parts again, but no
     further than into `MAX_PARTS`.
     """
-    step, found = period(stamps), list[int]()
+    # Sorted, a log that is in no order has its period, and one that is there twice, half of it.
+    step = min(period(stamps) or np.inf, 2.0 * period(np.sort(stamps)))
+    found: list[int] = []
     parts = [(0, len(stamps))]
     while parts and len(found) < MAX_PARTS - 1:
         begin, end = parts.pop()
@@ -94,45 +95,90 @@ def breaks(stamps: Stamps) -> list[int]:
 
 
 def _break(stamps: Stamps, step: float) -> int:
-    """Return the row where rows before and after mix most, 0 if all are of one clock."""
-    worst, most = 0, float(MAX_CHANGES)
+    """Return the step back where rows before and after mix most, 0 if all are of one clock."""
     order = np.argsort(stamps, kind='stable')
     in_order = stamps[order]
+    worst, most = 0, -1
     for row in steps_back(stamps):
         low, high = stamps[[row, row - 1]].tolist()
-        between = order[_between(in_order, low, high)]
-        if high - low - (len(between) + 1) * step > max(
-                (1.0 - MIN_DENSITY) * (high - low), MAX_PERIODS * step):
+        between = _between(in_order, low, high)
+        is_later = order[between] >= row
+        missing = high - low - (len(is_later) + 1) * step
+        if missing > max((1.0 - MIN_DENSITY) * (high - low), MAX_PERIODS * step):
             return row
-        changes = float(np.count_nonzero(np.diff(between < row)))
-        if changes <= MAX_CHANGES and _is_passed_twice(in_order, low, high, step):
-            changes = MAX_CHANGES + 1.0
-        if changes > most:
+        changes = int(np.count_nonzero(np.diff(is_later)))
+        passed = _passed(in_order[between], is_later, (low, high), step)
+        if changes > most and _is_dense(
+                in_order, passed, row, _local_period(stamps, row, in_order, step)):
             worst, most = row, changes
     return worst
 
 
-def _is_passed_twice(in_order: Stamps, low: int, high: int, step: float) -> bool:
-    """
-    Return whether ascending stamps pass the time from low to high twice, after a step back by it.
+class _PassedTime(NamedTuple):
+    """Time [ns] that rows before and after a step back may both pass; empty if begin > end."""
 
-    The clock was then set back by a period more, and as many rows are too many from the row before
-    low to that after high. Both may be far, as the log may have gaps there.
+    begin: int
+    end: int
+    is_whole: bool  #: whether it ends where the stamps stepped back, as after a clock was set
+
+
+def _passed(times: Stamps, is_later: Flags, ends: tuple[int, int], step: float) -> _PassedTime:
     """
-    # The rate of the log may change, so it is also compared with that just before and after.
+    Return the time between the stamps around a step back that rows before and after it pass.
+
+    It begins with the first row before among `times`, all stamps between these `ends`, and ends
+    with the last one after; without gaps there, at the ends.
+    """
+    low, high = ends
+    longest = max(MAX_PERIODS * step, MAX_DISORDER)
+    begin = int(min(times[~is_later], default=high))
+    end = int(max(times[is_later], default=low))
+    is_whole = end >= high - longest
+    return _PassedTime(
+        low if begin <= low + longest else begin, high if is_whole else end, is_whole)
+
+
+def _is_dense(in_order: Stamps, passed: _PassedTime, before: int, period: float) -> bool:
+    """Return whether a time has more rows than the period allows; `before` rows may repeat it."""
+    begin, end, is_whole = passed
+    first = max(int(np.searchsorted(in_order, begin, 'left')) - 1, 0)
+    last = min(int(np.searchsorted(in_order, end, 'right')), len(in_order) - 1)
+    # From the row before to the row after, since the ends are at no regular times.
+    around = min(begin - int(in_order[first]), period) + min(int(in_order[last]) - end, period)
+    surplus = last - first - (end - begin + around) / period
+    regular = (end - begin) / period + 1.0
+    return begin <= end and surplus >= max(
+        MIN_SURPLUS_ROWS if is_whole else NEARBY_ROWS, MIN_SURPLUS * min(regular, before),
+        PERIOD_ERROR * regular)
+
+
+def _local_period(stamps: Stamps, row: int, in_order: Stamps, step: float) -> float:
+    """Return the period [ns] of a log, whose rate may change, at a step back."""
+    low, high = stamps[[row, row - 1]].tolist()
     nearby = max(high - low, NEARBY_ROWS * step)
-    rows = (len(in_order[_between(in_order, begin, begin + nearby)])
-            for begin in (low - nearby, high))
-    period = min(step, *(nearby / max(count, 1) for count in rows))
-    first = max(int(np.searchsorted(in_order, low, 'left')) - 1, 0)
-    last = min(int(np.searchsorted(in_order, high, 'right')), len(in_order) - 1)
-    elapsed = high - low + sum(
-        min(distance, period) for distance in (low - in_order[first], in_order[last] - high))
-    surplus = last - first - elapsed / period
-    return bool(surplus >= MIN_SURPLUS * ((high - low) / period + 1.0))
+    around: list[float] = []
+    for begin, end in (
+            (max(low - nearby, int(in_order[0])), low),
+            (high, min(high + nearby, int(in_order[-1])))):
+        count = len(in_order[_between(in_order, begin, end)])
+        if count >= NEARBY_ROWS // 2:
+            around.append((end - begin) / (count + 1.0))
+    next_rows = np.sort(stamps[row:row + NEARBY_ROWS])
+    if len(next_rows) < NEARBY_ROWS:
+        return min([step, *around])
+    # Far from each other, successive rows are in no order.
+    own = max(float(np.median(np.diff(next_rows))), 1.0)
+    return min(own, max(around, default=own if own < MAX_PERIODS * step else 0.5 * step))
 
 
 def _between(in_order: Stamps, low: float, high: float) -> slice:
     """Return the ascending stamps between two times, both excluded."""
     return slice(
         int(np.searchsorted(in_order, low, 'right')), int(np.searchsorted(in_order, high, 'left')))
+
+
+def _jumps(stamps: Stamps, step: float) -> Indices:
+    """Return the rows that do not follow the row before within a few periods."""
+    steps = np.diff(stamps)
+    longest = max(MAX_PERIODS * step, MAX_DISORDER)
+    return np.flatnonzero((steps < -MAX_DISORDER) | (steps > longest)) + 1

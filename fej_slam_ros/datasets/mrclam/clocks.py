@@ -43,6 +43,11 @@ MAX_FORWARD_RATIO = 0.7
 MAX_COMMAND_GAP = 3 * NS // 2
 
 
+def may_be_set(stamps: Stamps) -> bool:
+    """Return whether the stamps of commands may be of a clock that was set meanwhile."""
+    return bool(breaks(stamps)) or bool((np.diff(stamps) > MAX_COMMAND_GAP).any())
+
+
 def in_order(
     commands: Series, observations: Series, evidence: ClockEvidence, counts: Counter[str]
 ) -> ClockPart:
@@ -160,18 +165,14 @@ def _goes_on(earlier: ClockPart, later: ClockPart, moving: Container[int]) -> bo
 def _without_step_forward(
     part: ClockPart, row: int, evidence: ClockEvidence, counts: Counter[str]
 ) -> ClockPart:
-    """
-    Return the rows on the clock before or after the gap at a row, if it was set forward.
-
-    Only the rows that would move are judged: the gap itself fits no evidence.
-
-    """
+    """Return the rows on the clock before or after the gap at a row, if it was set forward."""
     end, begin = part.commands.stamps[[row - 1, row]].tolist()
     # Observations are stamped apart from commands.
     if len(part.observations.between(end + MAX_DISORDER, begin - MAX_DISORDER)):
         return part
     earlier, later = part.divided(row)
     shift = _shift(earlier.commands, later.commands)
+    # Only the rows that would move are judged: the gap itself fits no evidence.
     for moved, other, offset in (later, earlier, shift), (earlier, later, -shift):
         errors = evidence.errors([moved, moved.shifted(offset)])
         if errors is not None and errors[1] < MAX_FORWARD_RATIO * errors[0] < np.inf:

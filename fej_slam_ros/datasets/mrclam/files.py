@@ -17,13 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Flags, Stamps, wrap_all
-from fej_slam_ros.core.ordering.backward_stamps import breaks
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
 from fej_slam_ros.datasets.mrclam.clock_parts import ClockPart, MAX_STEP
-from fej_slam_ros.datasets.mrclam.clocks import in_order
+from fej_slam_ros.datasets.mrclam.clocks import in_order, may_be_set
 from fej_slam_ros.datasets.mrclam.motion_capture import without_slips
 from fej_slam_ros.datasets.series import drop, Series
 from fej_slam_ros.errors import UserError
@@ -189,7 +188,7 @@ def _logs(recorded: Sequence[RobotLog]) -> list[RobotLog]:
     """Return logs in the order of stamps; set clocks come last, as others may correct them."""
     ordered: dict[int, ClockPart] = {}
     by_doubt = sorted(
-        recorded, key=lambda log: (bool(breaks(log.commands.stamps)), -len(log.truth)))
+        recorded, key=lambda log: (may_be_set(log.commands.stamps), -len(log.truth)))
     for log in by_doubt:
         evidence = ClockEvidence(log.truth, ROBOT_SUBJECTS, log.robot, {
             robot: part for robot, part in ordered.items() if len(part.commands) > 1})
