@@ -19,9 +19,8 @@ from fej_slam_ros.core.records import NS
 
 #: Steps back up to this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
-#: Share of the rows of a regular log below which a span of stamps has a gap, if more than
-#: `MAX_PERIODS` rows are missing.
-MIN_DENSITY = 0.5
+#: Share of a step back that is a gap, longer than any pause before, if it is to another recording.
+MIN_GAP = 0.5
 #: Share of the rows after a step back, and number of rows, that must be too many for their time.
 MIN_SURPLUS, MIN_SURPLUS_ROWS = 0.5, 1.25
 #: Relative error of the period of a log at a step back.
@@ -101,14 +100,14 @@ def _break(stamps: Stamps, step: float) -> int:
     worst, most = 0, -1
     for row in steps_back(stamps):
         low, high = stamps[[row, row - 1]].tolist()
-        between = _between(in_order, low, high)
-        is_later = order[between] >= row
-        missing = high - low - (len(is_later) + 1) * step
-        if missing > max((1.0 - MIN_DENSITY) * (high - low), MAX_PERIODS * step):
+        around = slice(*np.searchsorted(in_order, [low, high + 1]).tolist())
+        times, is_later = in_order[around], order[around] >= row
+        pause = np.diff(stamps[:row]).max(initial=0)
+        if np.diff(times).max() > max(MIN_GAP * (high - low), MAX_PERIODS * step, pause):
             return row
         changes = int(np.count_nonzero(np.diff(is_later)))
-        passed = _passed(in_order[between], is_later, (low, high), step)
-        if changes > most and _is_dense(
+        passed = _passed(times, is_later, step)
+        if changes > most and passed.is_mixed and _is_dense(
                 in_order, passed, row, _local_period(stamps, row, in_order, step)):
             worst, most = row, changes
     return worst
@@ -120,27 +119,30 @@ class _PassedTime(NamedTuple):
     begin: int
     end: int
     is_whole: bool  #: whether it ends where the stamps stepped back, as after a clock was set
+    is_mixed: bool  #: whether rows before and after alternate all the time in it
 
 
-def _passed(times: Stamps, is_later: Flags, ends: tuple[int, int], step: float) -> _PassedTime:
+def _passed(times: Stamps, is_later: Flags, step: float) -> _PassedTime:
     """
-    Return the time between the stamps around a step back that rows before and after it pass.
+    Return the time around a step back that rows before and after it pass.
 
-    It begins with the first row before among `times`, all stamps between these `ends`, and ends
-    with the last one after; without gaps there, at the ends.
+    It begins with the first row before among `times`, all stamps from that after the step back to
+    that before it, and ends with the last one after; without gaps there, with these stamps.
     """
-    low, high = ends
+    low, high = int(times[0]), int(times[-1])
     longest = max(MAX_PERIODS * step, MAX_DISORDER)
-    begin = int(min(times[~is_later], default=high))
-    end = int(max(times[is_later], default=low))
+    begin, end = int(times[~is_later][0]), int(times[is_later][-1])
+    within = is_later[(begin <= times) & (times <= end)]
+    changes, later = np.count_nonzero(np.diff(within)), np.count_nonzero(within)
     is_whole = end >= high - longest
     return _PassedTime(
-        low if begin <= low + longest else begin, high if is_whole else end, is_whole)
+        low if begin <= low + longest else begin, high if is_whole else end, is_whole,
+        2 * changes >= max(later, len(within) - later))
 
 
 def _is_dense(in_order: Stamps, passed: _PassedTime, before: int, period: float) -> bool:
     """Return whether a time has more rows than the period allows; `before` rows may repeat it."""
-    begin, end, is_whole = passed
+    begin, end, is_whole, _ = passed
     first = max(int(np.searchsorted(in_order, begin, 'left')) - 1, 0)
     last = min(int(np.searchsorted(in_order, end, 'right')), len(in_order) - 1)
     # From the row before to the row after, since the ends are at no regular times.

@@ -86,6 +86,20 @@ def test_a_few_rows_written_late_are_no_break(period, late):
     assert breaks(stamps) == []
 
 
+@pytest.mark.parametrize('late', [5, 60])
+def test_rows_written_late_across_pauses_are_no_break(late):
+    # 67 Hz with pauses of a second, as in MRCLAM.
+    stamps = np.concatenate([
+        regular(begin, begin + 4000, period=15) for begin in range(0, 100_000, 5000)])
+    rng = np.random.default_rng(late)
+    places = np.arange(len(stamps), dtype=float)
+    is_late = rng.random(len(stamps)) < 0.02
+    places[is_late] += late + 0.5
+
+    assert len(steps_back(stamps[places.argsort()])) > 1
+    assert breaks(stamps[places.argsort()]) == []
+
+
 def test_a_row_written_late_where_a_row_is_missing_is_no_break():
     stamps = np.delete(regular(0, 20_000, period=50), [201, 203])
     stamps[[200, 201]] = stamps[[201, 200]]
