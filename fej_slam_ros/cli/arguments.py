@@ -60,7 +60,7 @@ def output_folder(word: str) -> Path:
 
 
 def refuse_input_as_output(output: Path, bag: Path) -> None:
-    """Raise UsageError if an output bag is one that is read."""
+    """Raise UsageError if an output, such as a bag or a folder, is the bag that is read."""
     if output.resolve() == bag.resolve():
         raise UsageError(f'{output} is the bag to read: choose another output')
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from fej_slam_ros.atomic_files import csv_bytes, write_all
-from fej_slam_ros.cli.arguments import add_bag_and_parameters
+from fej_slam_ros.cli.arguments import add_bag_and_parameters, refuse_input_as_output
 from fej_slam_ros.cli.bag_input import matches_in, team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
@@ -24,7 +24,7 @@ from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.datasets import csv_tables
 from fej_slam_ros.datasets.g2o import conversion, files
 from fej_slam_ros.datasets.g2o.graph import Graph, graph_of
-from fej_slam_ros.errors import UserError
+from fej_slam_ros.errors import UsageError, UserError
 from fej_slam_ros.interrupts import postponed
 from fej_slam_ros.output_lock import claimed
 from fej_slam_ros.ros import parameters
@@ -75,6 +75,9 @@ def run(arguments: Namespace) -> int:
     settings = parameters.load(arguments.params, nodes)
     values = parameters.load_current_values(arguments.params, nodes)
     output, beside = arguments.output, Path(f'{arguments.output}.yaml')
+    refuse_input_as_output(output, arguments.bag)
+    if beside.resolve() == arguments.params.resolve():
+        raise UsageError(f'{beside}, beside the output, is the file of --params: choose another')
     with claimed(output, arguments.force), claimed(beside, arguments.force):
         exported = arguments.export(
             arguments.bag, settings, names_in(arguments, arguments.bag), output)

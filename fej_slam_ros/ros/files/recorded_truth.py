@@ -13,7 +13,7 @@ from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.records import NS, TrueLandmarks, TruePose
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.ros.files import bags
-from fej_slam_ros.ros.files.row_files import read_lines, read_table
+from fej_slam_ros.ros.files.row_files import DamagedRowError, read_lines, read_table
 from fej_slam_ros.ros.files.run_results import is_bag, read_messages, robots_with
 from fej_slam_ros.ros.files.topic_names import TopicNames
 from fej_slam_ros.ros.messages import incoming, incoming_clouds, Message
@@ -75,11 +75,23 @@ def _true_folder(folder: Path) -> RecordedTruth:
     truth = RecordedTruth()
     landmarks = folder / 'landmarks.csv'
     if landmarks.exists():
-        truth.add(TrueLandmarks(dict(read_table(landmarks, ('id', 'x', 'y'), _true_landmark))))
+        truth.add(TrueLandmarks(_true_landmarks(landmarks)))
     for name in sorted({name.removesuffix('_truth') for name in files}):
-        for stamp, pose in read_lines(files.get(f'{name}_truth') or files[name], _tum_row):
-            truth.add(TruePose(name, stamp, pose))
+        path = files.get(f'{name}_truth') or files[name]
+        for stamp, pose in read_lines(path, _tum_row):
+            if truth.add(TruePose(name, stamp, pose)) is not None:
+                raise UserError(
+                    f'{path} has two poses at {stamp / NS:.9f} s: remove one, or write the times'
+                    ' with all their digits')
     return truth
+
+
+def _true_landmarks(path: Path) -> dict[int, Array]:
+    positions: dict[int, Array] = {}
+    for landmark, position in read_table(path, ('id', 'x', 'y'), _true_landmark):
+        if not np.array_equal(positions.setdefault(landmark, position), position):
+            raise UserError(f'{path} has two positions of landmark {landmark}: remove one')
+    return positions
 
 
 def _true_landmark(cells: Cells) -> tuple[int, Array]:
@@ -88,9 +100,12 @@ def _true_landmark(cells: Cells) -> tuple[int, Array]:
 
 def _tum_row(line: str) -> tuple[int, Array]:
     seconds, *words = line.replace(',', ' ').split()
-    numbers = finite_numbers(dict(zip(TUM_COLUMNS, words, strict=True)), TUM_COLUMNS)
+    if len(words) != len(TUM_COLUMNS):
+        raise DamagedRowError(
+            f'has {1 + len(words)} columns, not 8: time [s], {", ".join(TUM_COLUMNS)}')
+    numbers = finite_numbers(dict(zip(TUM_COLUMNS, words)), TUM_COLUMNS)
     x, y, _, *quaternion = numbers
     if abs(sum(np.square(quaternion)) - 1.0) > incoming.NORM_TOLERANCE:
-        raise ValueError('its quaternion does not have the norm 1')
+        raise DamagedRowError('has a quaternion whose norm is not 1')
     # A float would lose the nanoseconds.
     return round(Decimal(seconds) * NS), np.array([x, y, from_quaternion(*quaternion)])

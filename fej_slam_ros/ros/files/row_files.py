@@ -16,6 +16,10 @@ SourceT = TypeVar('SourceT')
 RowT = TypeVar('RowT')
 
 
+class DamagedRowError(ValueError):
+    """A row cannot be used; the message follows 'row 2 ...'."""
+
+
 def read_table(
     path: Path, columns: Sequence[str], read: Callable[[Cells], RowT]
 ) -> Iterator[RowT]:
@@ -32,7 +36,7 @@ def read_table(
 
 def read_lines(path: Path, read: Callable[[str], RowT]) -> Iterator[RowT]:
     """Yield the content of each line of a file that is not empty and no comment."""
-    with _reading(path), path.open(encoding='utf-8') as file:
+    with _reading(path), path.open(encoding='utf-8-sig') as file:
         lines = (line for line in file if line.strip() and not line.startswith('#'))
         yield from _parsed(path, lines, read, first=1)
 
@@ -44,9 +48,10 @@ def _parsed(
     try:
         for number, row in enumerate(rows, first):  # noqa: B007
             yield read(row)
-    except (ValueError, TypeError, DecimalException, OverflowError):
+    except (ValueError, TypeError, DecimalException, OverflowError) as error:
+        cause = error if isinstance(error, DamagedRowError) else 'is damaged'
         raise UserError(
-            f'{path}: row {number} is damaged, correct it or write the file again') from None
+            f'{path}: row {number} {cause}, correct it or write the file again') from None
 
 
 @contextmanager

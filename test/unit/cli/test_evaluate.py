@@ -278,15 +278,26 @@ def test_a_run_is_no_ground_truth_of_its_own(replayed, evaluate):
     assert not (run / 'evaluation').exists()
 
 
-def test_a_truth_with_a_quaternion_of_another_norm_is_reported(replayed, evaluate, tmp_path):
+@pytest.mark.parametrize(('files', 'sentence'), [
+    ({'r1.tum': '\ufeff1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 2\n'},
+     'row 2 has a quaternion whose norm is not 1'),
+    ({'r1.tum': '1.0 0 0 0\n'}, 'row 1 has 4 columns, not 8: time [s], x, y, z, qx, qy, qz, qw'),
+    ({'r1.tum': '1.7e9 0 0 0 0 0 0 1\n1.7e9 1 0 0 0 0 0 1\n'},
+     'r1.tum has two poses at 1700000000.000000000 s'),
+    ({'r1.tum': '1.0 0 0 0 0 0 0 1\n', 'landmarks.csv': 'id,x,y\n8,1,2\n8,1,2\n8,50,50\n'},
+     'landmarks.csv has two positions of landmark 8'),
+])
+def test_a_truth_that_is_damaged_or_contradicts_itself_is_reported(
+        replayed, evaluate, tmp_path, files, sentence):
     (tmp_path / 'truth').mkdir()
-    (tmp_path / 'truth' / 'r1.tum').write_text('1.0 0 0 0 0 0 0 1\n2.0 0 0 0 0 0 0 2\n')
+    for name, text in files.items():
+        (tmp_path / 'truth' / name).write_text(text, encoding='utf-8')
 
-    status, _, printed = evaluate(
+    status, *printed = evaluate(
         replayed / 'two_circles', '--no-plots', '--truth', tmp_path / 'truth')
 
-    assert (status, printed.err.count('\n')) == (1, 1)
-    assert 'row 2 is damaged' in printed.err
+    assert (status, printed[-1].err.count('\n')) == (1, 1)
+    assert sentence in printed[-1].err
 
 
 def test_invalid_messages_of_ground_truth_are_counted(replayed, evaluate, tmp_path):

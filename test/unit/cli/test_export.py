@@ -58,6 +58,19 @@ def exported(kind, bag, folder, *options):
 
 
 @pytest.mark.parametrize('kind', ['g2o', 'csv'])
+def test_no_input_is_replaced_by_an_export(kind, tmp_path, capsys):
+    bag = bag_without_ids(tmp_path)
+    params = tmp_path / 'params.yaml'
+    params.write_bytes(Path(f'{bag}.yaml').read_bytes())
+
+    into_bag = run_verb('export', kind, bag, '--params', params, '--output', bag, '--force')
+    assert_one_sentence((into_bag, *capsys.readouterr()), 2, 'is the bag to read')
+    beside = run_verb(
+        'export', kind, bag, '--params', params, '--output', tmp_path / 'params', '--force')
+    assert_one_sentence((beside, *capsys.readouterr()), 2, 'is the file of --params')
+
+
+@pytest.mark.parametrize('kind', ['g2o', 'csv'])
 def test_an_export_converted_back_gives_the_same_estimates(bag, kind, tmp_path):
     expected = estimates(bag, f'{bag}.yaml', tmp_path / 'expected')
     status, output = exported(kind, bag, tmp_path)
