@@ -59,7 +59,8 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
     """
     names = graph.names or _numbered(graph, period)
     poses = by_robot(names)
-    edges = {(edge.begin, edge.end): edge for edge in graph.increments}
+    # Odometry is written first; other relative poses of the same two are of other sensors.
+    edges = {(edge.begin, edge.end): edge for edge in reversed(graph.increments)}
     increments = {}
     for robot, vertices in poses.items():
         missing = [pair for pair in pairwise(vertices) if pair not in edges]
@@ -119,8 +120,13 @@ def _observations(
     """Return the observations of landmarks by the vertex of the pose; count the others."""
     ids = _landmark_ids(graph)
     landmarks: dict[int, list[Observation]] = defaultdict(list)
+    lines: set[tuple[float, ...]] = set()
     for edge in graph.observations:
-        if edge.begin in robots.names:
+        line = edge.begin, edge.end, *edge.z.tolist(), *edge.R.ravel().tolist()
+        if line in lines:
+            unused['observation repeated'] += 1
+        elif edge.begin in robots.names:
+            lines.add(line)
             landmark = _id_of(ids, edge.end, robots.names[edge.begin].robot)
             landmarks[edge.begin].append(Observation(landmark, edge.z, edge.R))
         else:

@@ -63,6 +63,25 @@ def test_chains_of_poses_are_robots_even_if_their_numbers_alternate():
     assert unused == {'relative pose beside the trajectories': 1}
 
 
+def test_of_two_relative_poses_of_the_same_poses_the_first_is_the_odometry():
+    robots, _, unused = converted(Graph(increments=[
+        step(0, 1), step(1, 2), step(0, 1, (9, 9, 1))]))
+
+    assert_allclose(robots.increments['r1'][0].z, step(0, 1).z)
+    assert unused == {'relative pose beside the trajectories': 1}
+
+
+def test_an_observation_that_is_there_twice_is_used_once():
+    other = Edge(1, 2, np.array([2.1, 1.0]), 0.01 * np.eye(2))
+
+    _, records, unused = converted(Graph(
+        increments=[step(0, 1)], observations=[sighting(1, 2), other, sighting(1, 2)]))
+
+    seen = [s.z.tolist() for r in records if isinstance(r, Scan) for s in r.observations]
+    assert sorted(seen) == [[2.0, 1.0], [2.1, 1.0]]
+    assert unused == {'observation repeated': 1}
+
+
 def test_numbers_of_landmarks_may_lie_between_those_of_poses():
     robots, records, _ = converted(Graph(
         increments=[step(0, 1), step(1, 3)], observations=[sighting(1, 2), sighting(3, 2)]))
