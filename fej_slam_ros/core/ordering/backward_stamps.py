@@ -17,7 +17,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Flags, Indices, Stamps
 from fej_slam_ros.core.records import NS
 
-#: Steps back up to this [ns] are the disorder of threads and buffers.
+#: Steps back below this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
 #: Share of a step back that is a gap, longer than any pause before, if it is to another recording.
 MIN_GAP = 0.5
@@ -41,7 +41,7 @@ MAX_JUMPS = 4
 
 def steps_back(stamps: Stamps) -> list[int]:
     """Return the rows (in order of recording) whose stamps are far before the previous one's."""
-    back: list[int] = np.flatnonzero(np.diff(stamps) < -MAX_DISORDER).tolist()
+    back: list[int] = np.flatnonzero(np.diff(stamps) <= -MAX_DISORDER).tolist()
     return [row + 1 for row in back]
 
 
@@ -133,7 +133,7 @@ def _passed(times: Stamps, is_later: Flags, step: float) -> _PassedTime:
     longest = max(MAX_PERIODS * step, MAX_DISORDER)
     begin, end = int(times[~is_later][0]), int(times[is_later][-1])
     within = is_later[(begin <= times) & (times <= end)]
-    changes, later = np.count_nonzero(np.diff(within)), np.count_nonzero(within)
+    changes, later = int(np.count_nonzero(np.diff(within))), int(np.count_nonzero(within))
     is_whole = end >= high - longest
     return _PassedTime(
         low if begin <= low + longest else begin, high if is_whole else end, is_whole,
@@ -183,4 +183,4 @@ def _jumps(stamps: Stamps, step: float) -> Indices:
     """Return the rows that do not follow the row before within a few periods."""
     steps = np.diff(stamps)
     longest = max(MAX_PERIODS * step, MAX_DISORDER)
-    return np.flatnonzero((steps < -MAX_DISORDER) | (steps > longest)) + 1
+    return np.flatnonzero((steps <= -MAX_DISORDER) | (steps > longest)) + 1
