@@ -78,6 +78,8 @@ def test_a_set_is_converted_to_odometry_observations_and_ground_truth(convert_mr
     assert 'r1: odometry: 11 (gaps above 0.4 s: 10, longest 1.0 s), observations: 2,' in said
     assert ' true poses: 11 of 15\n' in said
     assert '    unknown bar code: 1\n' in said
+    assert said.count('Measurement.dat is missing') == 1
+    assert '    Robot2_Measurement.dat is missing, or has no row that can be used' in said
     assert '    broken row in Barcodes.dat: 1\n' in said
     assert (
         'r3 is left out: Robot3_Odometry.dat is missing, or has no two valid rows\n'
