@@ -190,8 +190,8 @@ def _wrong_rows(log: RobotLog, true: int) -> Iterator[str]:
     """Yield why most rows of a file are not used; `true` is the number of true poses that are."""
     if not len(log.observations):
         yield (
-            f'    Robot{log.robot}_Measurement.dat is missing, or has no row that can be used: this'
-            ' robot joins only as others observe it')
+            f'    Robot{log.robot}_Measurement.dat is missing, or has no row that can be used:'
+            ' this robot joins only as others observe it')
     if len(log.truth) and not true:
         before = (log.truth.stamps[0] - log.commands.stamps[0]) / NS
         yield (

@@ -36,9 +36,9 @@ MIN_AGREEING_SHARE = 0.75
 #: Share of copies among the rows at a time that was passed before, if these are repeated, and
 #: number of different ones: rows of another time may be equal by chance.
 MIN_COPIES, MIN_DIFFERENT = 0.8, 3
-#: Maximum error of the rows before or after a gap by the clock that closes it, relative to that by
-#: their own. On set 6 the ratio is 0.2 to 0.7 for a wrong clock, 1.4 at least for a right one.
-MAX_FORWARD_RATIO = 0.7
+#: Maximum error of rows by the clock of the rows next to them, relative to that by their own. On
+#: set 6 the ratio is 0.2 to 0.7 if their own is wrong, and 1.4 at least if it is right.
+MAX_SHIFTED_ERROR = 0.7
 #: Longest time without rows [ns] that is no sign of a clock that was set forward.
 MAX_COMMAND_GAP = 3 * NS // 2
 
@@ -83,7 +83,7 @@ def _without_steps_back(
         commands = commands[recorded_order(commands.stamps)]
     drives: list[list[ClockPart]] = []
     for part in _parts(commands, observations, counts):
-        if drives and _goes_on(drives[-1][-1], part, evidence.moving):
+        if drives and _goes_on(drives[-1][-1], part, evidence):
             drives[-1].append(part)
         else:
             drives.append([part])
@@ -151,15 +151,21 @@ def _shift(earlier: Series, later: Series) -> int:
     return int(earlier.stamps[-1] + step - later.stamps[0])
 
 
-def _goes_on(earlier: ClockPart, later: ClockPart, moving: Container[int]) -> bool:
+def _goes_on(earlier: ClockPart, later: ClockPart, evidence: ClockEvidence) -> bool:
     """Return whether a robot drives on from one part to the next."""
     shift = _shift(earlier.commands, later.commands)
     if shift <= MAX_CERTAIN_SHIFT:
         return True
-    differences = _landmark_differences(earlier, later.shifted(shift), moving)
-    if differences:
-        return float(np.quantile(differences, MIN_AGREEING_SHARE)) <= 1.0
-    return shift <= MAX_STEP
+    differences = _landmark_differences(earlier, later.shifted(shift), evidence.moving)
+    if differences and float(np.quantile(differences, MIN_AGREEING_SHARE)) > 1.0:
+        return _was_set(later, shift, evidence) or _was_set(earlier, -shift, evidence)
+    return bool(differences) or shift <= MAX_STEP
+
+
+def _was_set(part: ClockPart, shift: int, evidence: ClockEvidence) -> bool:
+    """Return whether rows fit the evidence better by another clock than by their own."""
+    errors = evidence.errors([part, part.shifted(shift)])
+    return errors is not None and errors[1] < MAX_SHIFTED_ERROR * errors[0] < np.inf
 
 
 def _without_step_forward(
@@ -174,8 +180,7 @@ def _without_step_forward(
     shift = _shift(earlier.commands, later.commands)
     # Only the rows that would move are judged: the gap itself fits no evidence.
     for moved, other, offset in (later, earlier, shift), (earlier, later, -shift):
-        errors = evidence.errors([moved, moved.shifted(offset)])
-        if errors is not None and errors[1] < MAX_FORWARD_RATIO * errors[0] < np.inf:
+        if _was_set(moved, offset, evidence):
             _count_shifted(moved, offset, 'set forward', counts)
             return other.with_rows_of(moved.shifted(offset))
     return part
