@@ -3,10 +3,11 @@
 """
 Stamps of a regular log that step back: rows written late, or another clock.
 
-A buffer that is written late, or logs joined in the wrong order, step back to a time of which the
-log holds no other rows: sorted by stamp, the log is regular. After a clock was set back, or where
-two recordings are joined, the stamps pass a time twice, in which sorted rows of two motions would
-mix, or return to a time far before all others.
+Rows that are written late, or logs joined in the wrong order, step back to a time of which the log
+holds no other rows: sorted by stamp, the log is regular. After a clock was set back, or where two
+recordings are joined, the stamps pass a time twice, or return to a time far before all others. In
+a time that is passed twice, sorted rows of before and after alternate, and are more than the rate
+of the log allows.
 """
 
 from itertools import combinations
@@ -19,7 +20,8 @@ from fej_slam_ros.core.records import NS
 
 #: Steps back below this [ns] are the disorder of threads and buffers.
 MAX_DISORDER = NS // 10
-#: Share of a step back that is a gap, longer than any pause before, if it is to another recording.
+#: A step back leads to another recording if a gap in between is longer than this share of it, and
+#: than any pause before.
 MIN_GAP = 0.5
 #: Share of the rows after a step back, and number of rows, that must be too many for their time.
 MIN_SURPLUS, MIN_SURPLUS_ROWS = 0.5, 1.25
@@ -124,10 +126,10 @@ class _PassedTime(NamedTuple):
 
 def _passed(times: Stamps, is_later: Flags, step: float) -> _PassedTime:
     """
-    Return the time around a step back that rows before and after it pass.
+    Return the time that rows before and after a step back both pass.
 
-    It begins with the first row before among `times`, all stamps from that after the step back to
-    that before it, and ends with the last one after; without gaps there, with these stamps.
+    It is part of `times`, the sorted stamps from that after the step back to that before it: from
+    the first row before to the last one after, or to the ends of `times` where these are near.
     """
     low, high = int(times[0]), int(times[-1])
     longest = max(MAX_PERIODS * step, MAX_DISORDER)

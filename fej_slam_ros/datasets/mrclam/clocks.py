@@ -3,9 +3,9 @@
 """
 Order of a robot's rows whose stamps step back, and rows of a clock that was set.
 
-Rows that were written late are sorted. Where a clock was set back, the landmarks before and after
-show that the robot drives on, and one clock continues through both parts. Other rows are of
-another recording, and left out. Where a clock was set forward there is a gap, as there is where
+Rows that were written late are sorted. Where a clock was set back, the landmarks before and after,
+true poses or other robots show that the robot drives on, and one clock continues through both
+parts. Other rows are of another recording, and left out. Where a clock was set forward there is a gap, as there is where
 nothing was recorded; true poses or other robots tell them apart.
 """
 
@@ -28,8 +28,8 @@ COMPARED_TIME = 20 * NS
 #: Maximum difference of a landmark's positions by two observations: constant [m], per metre of
 #: range, and per metre times the root of the seconds in between, in which odometry turns away.
 POSITION_TOLERANCE = np.array([0.2, 0.08, 0.04])
-#: Clocks that are set by up to this [ns] need no landmarks to be recognized: in so short a time
-#: that robot cannot be in another recording.
+#: Stamps that go on after a step back by up to this [ns] are of a clock that was set: two
+#: recordings of one robot do not overlap by seconds.
 MAX_CERTAIN_SHIFT = 5 * NS
 #: Share of the landmarks that must agree; a bar code may be misread.
 MIN_AGREEING_SHARE = 0.75
