@@ -5,8 +5,8 @@ Order of a robot's rows whose stamps step back, and rows of a clock that was set
 
 Rows that were written late are sorted. Where a clock was set back, the landmarks before and after,
 true poses or other robots show that the robot drives on, and one clock continues through both
-parts. Other rows are of another recording, and left out. Where a clock was set forward there is a gap, as there is where
-nothing was recorded; true poses or other robots tell them apart.
+parts. Other rows are of another recording, and left out. Where a clock was set forward there is a
+gap, as there is where nothing was recorded; true poses or other robots tell them apart.
 """
 
 from collections import Counter
