@@ -53,6 +53,8 @@ COLUMNS = {
 
 #: Share of rows that step back in time above which they are not in the order of recording.
 MAX_SHARE_BACK = 0.05
+#: Maximum number of stamps with two poses that are no coarse stamps.
+MAX_CONTRADICTED = 3
 #: Shortest usual time [ns] between odometry: no sensor is faster, but units are mistaken.
 MIN_STEP = 10_000
 #: Time [ns] without rows, a day, before or after which up to this many rows have wrong stamps.
@@ -102,6 +104,7 @@ def read(folder: Path, repeated: Counter[str]) -> list[Record]:
             f'{folder / "odometry.csv"} is missing or has no row: it needs the columns'
             f' {",".join((*EVENT_COLUMNS, *POSE))}')
     _require_one_clock(folder, records)
+    _require_one_pose_at_a_time(folder, records)
     records += (
         Scan(*event, seen)
         for event, seen in _scans(folder / 'landmarks.csv', _landmark, repeated))
@@ -203,6 +206,22 @@ def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
                 f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]},'
                 ' to a time that has rows before: its clock was set back, or recordings were'
                 ' joined; correct the stamps, or convert each part on its own')
+
+
+def _require_one_pose_at_a_time(folder: Path, odometry: Iterable[Record]) -> None:
+    """Raise a `UserError` if a few stamps of a robot have two poses; many are coarse stamps."""
+    poses: dict[tuple[str, int], Array] = {}
+    contradicted: dict[str, list[int]] = defaultdict(list)
+    for record in odometry:
+        if isinstance(record, Odometry):
+            pose = poses.setdefault((record.robot, record.stamp), record.pose)
+            if pose is not record.pose and not np.array_equal(pose, record.pose):
+                contradicted[record.robot].append(record.stamp)
+    for robot, stamps in contradicted.items():
+        if len(stamps) <= MAX_CONTRADICTED:
+            raise UserError(
+                f'{folder / "odometry.csv"}: {robot} has two poses at stamp_ns {stamps[0]}: its'
+                ' clock was set back, or a row is wrong; correct the stamps, or remove one')
 
 
 def _unit_or_stray(stamps: Stamps) -> str:
