@@ -19,15 +19,15 @@ from typing import TypeVar
 import numpy as np
 
 from fej_slam_ros.core.definiteness import is_definite, is_semidefinite
-from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, Stamps, symmetric
+from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, symmetric
 from fej_slam_ros.core.ground_truth import MAX_GAP
 from fej_slam_ros.core.motion_models import polar
-from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
 from fej_slam_ros.core.parameter_kinds import ROBOT_NAMES
 from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import numbered_robots, ORIGIN, Settings, Triple
+from fej_slam_ros.datasets.csv_odometry import require_one_clock, require_one_pose_at_a_time
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import divided, observed_name
 from fej_slam_ros.errors import UserError
@@ -51,14 +51,6 @@ COLUMNS = {
     'ground_truth_landmarks.csv': ('id', 'x', 'y'),
 }
 
-#: Share of rows that step back in time above which they are not in the order of recording.
-MAX_SHARE_BACK = 0.05
-#: Maximum number of stamps with two poses that are no coarse stamps.
-MAX_CONTRADICTED = 3
-#: Shortest usual time [ns] between odometry: no sensor is faster, but units are mistaken.
-MIN_STEP = 10_000
-#: Time [ns] without rows, a day, before or after which up to this many rows have wrong stamps.
-MAX_STEP, MAX_STRAYS = 24 * 3600 * NS, 10
 #: Robot and stamp [ns].
 Event = tuple[str, int]
 RowT = TypeVar('RowT')
@@ -98,13 +90,14 @@ def read(folder: Path, repeated: Counter[str]) -> list[Record]:
 
     """
     require_folder(folder, 'odometry.csv')
-    records: list[Record] = [*_rows(folder / 'odometry.csv', _odometry)]
-    if not records:
+    odometry = [*_rows(folder / 'odometry.csv', _odometry)]
+    if not odometry:
         raise UserError(
             f'{folder / "odometry.csv"} is missing or has no row: it needs the columns'
             f' {",".join((*EVENT_COLUMNS, *POSE))}')
-    _require_one_clock(folder, records)
-    _require_one_pose_at_a_time(folder, records)
+    require_one_clock(folder / 'odometry.csv', odometry)
+    require_one_pose_at_a_time(folder / 'odometry.csv', odometry)
+    records: list[Record] = [*odometry]
     records += (
         Scan(*event, seen)
         for event, seen in _scans(folder / 'landmarks.csv', _landmark, repeated))
@@ -180,64 +173,6 @@ def _require_odometry(folder: Path, records: Iterable[Record]) -> None:
         raise UserError(
             f'{folder} has observations by or of {names}, without odometry: add rows to'
             ' odometry.csv, or remove the observations')
-
-
-def _require_one_clock(folder: Path, odometry: Iterable[Record]) -> None:
-    """Raise a `UserError` if a robot's rows, as recorded, pass a time twice, or have only one."""
-    stamps: dict[str, list[int]] = defaultdict(list)
-    for record in odometry:
-        if isinstance(record, Odometry):
-            stamps[record.robot].append(record.stamp)
-    for robot, recorded in stamps.items():
-        if len(recorded) > 1 and min(recorded) == max(recorded):
-            raise UserError(
-                f'{folder / "odometry.csv"}: all {len(recorded)} rows of {robot} have the same'
-                ' time: export it with all its digits, or as stamp_ns')
-        of_robot = np.array(recorded)
-        if fault := _unit_or_stray(np.unique(of_robot)):
-            raise UserError(f'{folder / "odometry.csv"}, rows of {robot}: {fault}')
-        if len(steps_back(of_robot)) > max(MAX_SHARE_BACK * len(of_robot), 1):
-            continue
-        rows = breaks(of_robot)
-        if rows:
-            row = rows[0]
-            raise UserError(
-                f'{folder / "odometry.csv"}: the time of {robot} goes back by'
-                f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]},'
-                ' to a time that has rows before: its clock was set back, or recordings were'
-                ' joined; correct the stamps, or convert each part on its own')
-
-
-def _require_one_pose_at_a_time(folder: Path, odometry: Iterable[Record]) -> None:
-    """Raise a `UserError` if a few stamps of a robot have two poses; many are coarse stamps."""
-    poses: dict[tuple[str, int], Array] = {}
-    contradicted: dict[str, list[int]] = defaultdict(list)
-    for record in odometry:
-        if isinstance(record, Odometry):
-            pose = poses.setdefault((record.robot, record.stamp), record.pose)
-            if pose is not record.pose and not np.array_equal(pose, record.pose):
-                contradicted[record.robot].append(record.stamp)
-    for robot, stamps in contradicted.items():
-        if len(stamps) <= MAX_CONTRADICTED:
-            raise UserError(
-                f'{folder / "odometry.csv"}: {robot} has two poses at stamp_ns {stamps[0]}: its'
-                ' clock was set back, or a row is wrong; correct the stamps, or remove one')
-
-
-def _unit_or_stray(stamps: Stamps) -> str:
-    """Return what is wrong with the distances of ascending stamps of odometry, or ''."""
-    steps = np.diff(stamps)
-    if len(steps) >= MAX_STRAYS and np.median(steps) < MIN_STEP:
-        return (
-            f'their times are {np.median(steps):.0f} ns apart: give stamp_ns in nanoseconds, or a'
-            ' column time in seconds')
-    for after in (np.flatnonzero(steps > MAX_STEP) + 1).tolist():
-        is_last = after > len(stamps) - after
-        if min(after, len(stamps) - after) <= MAX_STRAYS and 2 * after != len(stamps):
-            return (
-                f'stamp_ns {stamps[after if is_last else after - 1]} is'
-                f' {steps[after - 1] / MAX_STEP:.0f} days from most of them: correct or remove it')
-    return ''
 
 
 def _scan_rows(
