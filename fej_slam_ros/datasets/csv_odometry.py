@@ -15,8 +15,6 @@ from fej_slam_ros.errors import UserError
 
 #: Share of rows that step back in time above which they are not in the order of recording.
 MAX_SHARE_BACK = 0.05
-#: Maximum number of stamps with two poses that are no coarse stamps.
-MAX_CONTRADICTED = 3
 #: Shortest usual time [ns] between odometry: no sensor is faster, but units are mistaken.
 MIN_STEP = 10_000
 #: Time [ns] without rows, a day, before or after which up to this many rows have wrong stamps.
@@ -48,19 +46,12 @@ def require_one_clock(path: Path, odometry: Iterable[Odometry]) -> None:
                 ' joined; correct the stamps, or convert each part on its own')
 
 
-def require_one_pose_at_a_time(path: Path, odometry: Iterable[Odometry]) -> None:
-    """Raise a `UserError` if a few stamps of a robot have two poses; many are coarse stamps."""
-    poses: dict[tuple[str, int], Array] = {}
-    contradicted: dict[str, list[int]] = defaultdict(list)
-    for record in odometry:
-        pose = poses.setdefault((record.robot, record.stamp), record.pose)
-        if pose is not record.pose and not np.array_equal(pose, record.pose):
-            contradicted[record.robot].append(record.stamp)
-    for robot, stamps in contradicted.items():
-        if len(stamps) <= MAX_CONTRADICTED:
-            raise UserError(
-                f'{path}: {robot} has two poses at stamp_ns {stamps[0]}: its clock was set'
-                ' back, or a row is wrong; correct the stamps, or remove one')
+def contradicted(odometry: Iterable[Odometry]) -> list[int]:
+    """Return the stamps [ns] at which a robot has another pose than in a row before."""
+    poses: dict[int, Array] = {}
+    return [
+        record.stamp for record in odometry
+        if not np.array_equal(poses.setdefault(record.stamp, record.pose), record.pose)]
 
 
 def _unit_or_stray(stamps: Stamps) -> str:

@@ -27,7 +27,7 @@ from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import numbered_robots, ORIGIN, Settings, Triple
-from fej_slam_ros.datasets.csv_odometry import require_one_clock, require_one_pose_at_a_time
+from fej_slam_ros.datasets.csv_odometry import require_one_clock
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import divided, observed_name
 from fej_slam_ros.errors import UserError
@@ -96,7 +96,6 @@ def read(folder: Path, repeated: Counter[str]) -> list[Record]:
             f'{folder / "odometry.csv"} is missing or has no row: it needs the columns'
             f' {",".join((*EVENT_COLUMNS, *POSE))}')
     require_one_clock(folder / 'odometry.csv', odometry)
-    require_one_pose_at_a_time(folder / 'odometry.csv', odometry)
     records: list[Record] = [*odometry]
     records += (
         Scan(*event, seen)

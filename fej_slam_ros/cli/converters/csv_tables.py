@@ -20,6 +20,7 @@ from fej_slam_ros.core.ordering.coarse_stamps import coarse_step
 from fej_slam_ros.core.records import NS, Odometry, Record, RobotScan, Scan, TruePose
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import csv_tables
+from fej_slam_ros.datasets.csv_odometry import contradicted
 
 SUMMARY = 'CSV tables of any robots'
 
@@ -54,6 +55,11 @@ def _report(
             yield (
                 f'    stamps of odometry are in steps of {step / NS:g} s and have several poses'
                 ' each, of which only the first is used: export the time with all its digits')
+        elif stamps := contradicted(odometry):
+            yield (
+                f'    rows of odometry with the stamp and not the pose of another: {len(stamps)},'
+                f' the first at stamp_ns {stamps[0]}: the clock was set back, or they are wrong;'
+                ' only the first row of a stamp is used')
     x, y, phi = settings.anchor_pose
     yield f'start of {settings.anchor}, the anchor: ({x:.3f} m, {y:.3f} m, {phi:.3f} rad) in map'
     for name, count in repeated.items():

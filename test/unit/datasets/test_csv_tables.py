@@ -98,18 +98,6 @@ def test_odometry_that_passes_a_time_twice_is_refused_with_the_place(tmp_path):
         csv_tables.read(table, Counter())
 
 
-def test_two_poses_of_a_robot_at_one_time_are_refused_but_for_coarse_stamps(tmp_path):
-    def table(stamps):
-        rows = ''.join(f'a,{10 ** 9 * at},{x},0,0\n' for x, at in enumerate(stamps))
-        return write(tmp_path, odometry='robot,stamp_ns,x,y,yaw\n' + rows)
-
-    # A clock at 1 Hz that is set back by a second, of which no stamp steps back.
-    with pytest.raises(UserError, match=r'a has two poses at stamp_ns 29000000000'):
-        csv_tables.read(table([*range(30), *range(29, 60)]), Counter())
-
-    assert len(csv_tables.read(table(sorted([*range(30)] * 2)), Counter())) == 60
-
-
 def test_a_clock_set_back_is_refused_in_a_short_log_too(tmp_path):
     table = odometry_table(tmp_path, [*range(0, 4500, 100), *range(2500, 7000, 100)])
 

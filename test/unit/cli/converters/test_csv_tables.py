@@ -53,6 +53,17 @@ def test_times_without_their_decimals_are_named(convert, written, said_so):
     assert ('in steps of 1 s and have several poses each' in said) == said_so
 
 
+@pytest.mark.parametrize(('back', 'said_so'), [(1, True), (0, False)])
+def test_rows_with_the_stamp_and_not_the_pose_of_another_are_named(convert, back, said_so):
+    # A clock at 1 Hz that is set back by a second: no stamp steps back.
+    rows = ''.join(f'red,{k if k < 30 else k - back},{k},0,0\n' for k in range(60))
+
+    status, said, _ = convert(odometry='robot,time,x,y,yaw\n' + rows)
+
+    assert status == 0
+    assert ('and not the pose of another: 1, the first at stamp_ns 29000000000' in said) == said_so
+
+
 def test_a_name_that_cannot_be_a_topic_is_refused_before_a_bag_is_written(convert, tmp_path):
     assert_one_sentence(
         convert(odometry=ODOMETRY.replace('red', 'robot 1')), 1, "robot is 'robot 1', and a name")
