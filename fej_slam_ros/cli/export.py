@@ -77,7 +77,7 @@ def run(arguments: Namespace) -> int:
     output, beside = arguments.output, Path(f'{arguments.output}.yaml')
     refuse_input_as_output(output, arguments.bag)
     if beside.resolve() == arguments.params.resolve():
-        raise UsageError(f'{beside}, beside the output, is the file of --params: choose another')
+        raise UsageError(f'{beside} is the parameter file to read: choose another output')
     with claimed(output, arguments.force), claimed(beside, arguments.force):
         exported = arguments.export(
             arguments.bag, settings, names_in(arguments, arguments.bag), output)

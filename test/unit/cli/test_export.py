@@ -67,7 +67,7 @@ def test_no_input_is_replaced_by_an_export(kind, tmp_path, capsys):
     assert_one_sentence((into_bag, *capsys.readouterr()), 2, 'is the bag to read')
     beside = run_verb(
         'export', kind, bag, '--params', params, '--output', tmp_path / 'params', '--force')
-    assert_one_sentence((beside, *capsys.readouterr()), 2, 'is the file of --params')
+    assert_one_sentence((beside, *capsys.readouterr()), 2, 'is the parameter file to read')
 
 
 @pytest.mark.parametrize('kind', ['g2o', 'csv'])
