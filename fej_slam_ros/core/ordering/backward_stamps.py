@@ -54,6 +54,11 @@ def period(stamps: Stamps) -> float:
     return float(steps[steps <= GAP_STEPS * np.median(steps)].mean()) if len(steps) else 0.0
 
 
+def _longest_step(step: float) -> float:
+    """Return the longest step [ns] between two successive rows of a log of a mean step."""
+    return max(MAX_PERIODS * step, MAX_DISORDER)
+
+
 def recorded_order(stamps: Stamps) -> Indices:
     """
     Return the order in which rows were recorded, where blocks of them were written late.
@@ -62,9 +67,10 @@ def recorded_order(stamps: Stamps) -> Indices:
     Their own order says on which side of a step of the clock they were recorded; sorted by stamp,
     it is lost.
     """
-    order, step = np.arange(len(stamps)), period(stamps)
-    longest = max(MAX_PERIODS * step, MAX_DISORDER)
-    jumps = _jumps(stamps, step).tolist()
+    order = np.arange(len(stamps))
+    longest = _longest_step(period(stamps))
+    steps = np.diff(stamps)
+    jumps = (np.flatnonzero((steps <= -MAX_DISORDER) | (steps > longest)) + 1).tolist()
     end = 0
     for first, *later in (jumps[k:k + MAX_JUMPS] for k in range(len(jumps))):
         for middle, last in combinations(later, 2):
@@ -99,13 +105,15 @@ def _break(stamps: Stamps, step: float) -> int:
     """Return the step back where rows before and after mix most, 0 if all are of one clock."""
     order = np.argsort(stamps, kind='stable')
     in_order = stamps[order]
+    # The longest step forward before each row, of the rows before it.
+    pauses = np.maximum.accumulate(np.diff(stamps, prepend=stamps[:1].repeat(2)))
     worst, most = 0, -1
     for row in steps_back(stamps):
         low, high = stamps[[row, row - 1]].tolist()
         around = slice(*np.searchsorted(in_order, [low, high + 1]).tolist())
         times, is_later = in_order[around], order[around] >= row
-        pause = np.diff(stamps[:row]).max(initial=0)
-        if np.diff(times).max() > max(MIN_GAP * (high - low), MAX_PERIODS * step, pause):
+        if np.diff(times).max() > max(
+                MIN_GAP * (high - low), MAX_PERIODS * step, pauses[row]):
             return row
         changes = int(np.count_nonzero(np.diff(is_later)))
         passed = _passed(times, is_later, step)
@@ -132,7 +140,7 @@ def _passed(times: Stamps, is_later: Flags, step: float) -> _PassedTime:
     the first row before to the last one after, or to the ends of `times` where these are near.
     """
     low, high = int(times[0]), int(times[-1])
-    longest = max(MAX_PERIODS * step, MAX_DISORDER)
+    longest = _longest_step(step)
     begin, end = int(times[~is_later][0]), int(times[is_later][-1])
     within = is_later[(begin <= times) & (times <= end)]
     changes, later = int(np.count_nonzero(np.diff(within))), int(np.count_nonzero(within))
@@ -164,7 +172,8 @@ def _local_period(stamps: Stamps, row: int, in_order: Stamps, step: float) -> fl
     for begin, end in (
             (max(low - nearby, int(in_order[0])), low),
             (high, min(high + nearby, int(in_order[-1])))):
-        count = len(in_order[_between(in_order, begin, end)])
+        count = int(np.searchsorted(in_order, end, 'left') - np.searchsorted(
+            in_order, begin, 'right'))
         if count >= NEARBY_ROWS // 2:
             around.append((end - begin) / (count + 1.0))
     next_rows = np.sort(stamps[row:row + NEARBY_ROWS])
@@ -173,16 +182,3 @@ def _local_period(stamps: Stamps, row: int, in_order: Stamps, step: float) -> fl
     # Far from each other, successive rows are in no order.
     own = max(float(np.median(np.diff(next_rows))), 1.0)
     return min(own, max(around, default=own if own < MAX_PERIODS * step else 0.5 * step))
-
-
-def _between(in_order: Stamps, low: float, high: float) -> slice:
-    """Return the ascending stamps between two times, both excluded."""
-    return slice(
-        int(np.searchsorted(in_order, low, 'right')), int(np.searchsorted(in_order, high, 'left')))
-
-
-def _jumps(stamps: Stamps, step: float) -> Indices:
-    """Return the rows that do not follow the row before within a few periods."""
-    steps = np.diff(stamps)
-    longest = max(MAX_PERIODS * step, MAX_DISORDER)
-    return np.flatnonzero((steps <= -MAX_DISORDER) | (steps > longest)) + 1
