@@ -29,7 +29,7 @@ from fej_slam_ros.core.records import (
 from fej_slam_ros.core.settings import numbered_robots, ORIGIN, Settings, Triple
 from fej_slam_ros.datasets.csv_odometry import require_one_clock
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
-from fej_slam_ros.datasets.scans import divided, observed_name
+from fej_slam_ros.datasets.scans import distinct, divided
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers, integer
 
@@ -336,12 +336,7 @@ def _scans(
     """Yield the scans in consecutive rows of one robot and stamp."""
     for event, of_event in groupby(_rows(path, parse), lambda row: row[0]):
         seen = [observation for _, observation in of_event if observation is not None]
-        distinct = {_content(observation): observation for observation in seen}
-        repeated[path.name] += len(seen) - len(distinct)
-        for scan in divided(distinct.values()):
+        kept = distinct(seen)
+        repeated[path.name] += len(seen) - len(kept)
+        for scan in divided(kept):
             yield event, scan
-
-
-def _content(observation: Observation | RobotObservation) -> tuple[int | str, bytes, bytes]:
-    """Return what no other observation at a stamp has in common."""
-    return observed_name(observation), observation.z.tobytes(), observation.R.tobytes()

@@ -105,15 +105,13 @@ def _break(stamps: Stamps, step: float) -> int:
     """Return the step back where rows before and after mix most, 0 if all are of one clock."""
     order = np.argsort(stamps, kind='stable')
     in_order = stamps[order]
-    # The longest step forward before each row, of the rows before it.
-    pauses = np.maximum.accumulate(np.diff(stamps, prepend=stamps[:1].repeat(2)))
+    pauses = np.maximum.accumulate(np.diff(stamps, prepend=stamps[:1].repeat(2)))  # before rows
     worst, most = 0, -1
     for row in steps_back(stamps):
         low, high = stamps[[row, row - 1]].tolist()
         around = slice(*np.searchsorted(in_order, [low, high + 1]).tolist())
         times, is_later = in_order[around], order[around] >= row
-        if np.diff(times).max() > max(
-                MIN_GAP * (high - low), MAX_PERIODS * step, pauses[row]):
+        if np.diff(times).max() > max(MIN_GAP * (high - low), MAX_PERIODS * step, pauses[row]):
             return row
         changes = int(np.count_nonzero(np.diff(is_later)))
         passed = _passed(times, is_later, step)

@@ -23,7 +23,7 @@ from fej_slam_ros.core.records import (
     MAX_ID, NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings
 from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
-from fej_slam_ros.datasets.scans import divided
+from fej_slam_ros.datasets.scans import distinct, divided
 from fej_slam_ros.errors import UserError
 
 #: Stamp of the first pose of each robot without stamps [ns], and shortest time between two [s].
@@ -120,18 +120,16 @@ def _observations(
     """Return the observations of landmarks by the vertex of the pose; count the others."""
     ids = _landmark_ids(graph)
     landmarks: dict[int, list[Observation]] = defaultdict(list)
-    lines: set[tuple[float, ...]] = set()
     for edge in graph.observations:
-        line = edge.begin, edge.end, *edge.z.tolist(), *edge.R.ravel().tolist()
-        if line in lines:
-            unused['observation repeated'] += 1
-        elif edge.begin in robots.names:
-            lines.add(line)
+        if edge.begin in robots.names:
             landmark = _id_of(ids, edge.end, robots.names[edge.begin].robot)
             landmarks[edge.begin].append(Observation(landmark, edge.z, edge.R))
         else:
             unused['observation from a pose without odometry'] += 1
-    return landmarks
+    kept = {pose: distinct(seen) for pose, seen in landmarks.items()}
+    unused['observation repeated'] += sum(
+        len(seen) - len(kept[pose]) for pose, seen in landmarks.items())
+    return kept
 
 
 def _robot_observations(
