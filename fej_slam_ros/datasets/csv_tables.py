@@ -27,7 +27,7 @@ from fej_slam_ros.core.records import (
     NO_ID, NS, Observation, ObservationT, Odometry, PosePrior, Record, RobotObservation, RobotScan,
     Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import numbered_robots, ORIGIN, Settings, Triple
-from fej_slam_ros.datasets.csv_odometry import require_one_clock
+from fej_slam_ros.datasets.csv_stamps import require_one_clock, require_one_clock_of_scans
 from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
 from fej_slam_ros.datasets.scans import distinct, divided
 from fej_slam_ros.errors import UserError
@@ -96,13 +96,15 @@ def read(folder: Path, repeated: Counter[str]) -> list[Record]:
             f'{folder / "odometry.csv"} is missing or has no row: it needs the columns'
             f' {",".join((*EVENT_COLUMNS, *POSE))}')
     require_one_clock(folder / 'odometry.csv', odometry)
-    records: list[Record] = [*odometry]
-    records += (
+    scans = [
         Scan(*event, seen)
-        for event, seen in _scans(folder / 'landmarks.csv', _landmark, repeated))
-    records += (
+        for event, seen in _scans(folder / 'landmarks.csv', _landmark, repeated)]
+    robot_scans = [
         RobotScan(*event, seen)
-        for event, seen in _scans(folder / 'robots.csv', _robot, repeated))
+        for event, seen in _scans(folder / 'robots.csv', _robot, repeated)]
+    require_one_clock_of_scans(folder / 'landmarks.csv', scans)
+    require_one_clock_of_scans(folder / 'robots.csv', robot_scans)
+    records: list[Record] = [*odometry, *scans, *robot_scans]
     records += _rows(folder / 'pose_priors.csv', _pose_prior)
     _require_odometry(folder, records)
     records += _rows(folder / 'ground_truth.csv', _true_pose)

@@ -17,7 +17,7 @@ def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT
     scan: list[ObservationT] = []
     observed: set[int | str] = set()
     for observation in observations:
-        name = _observed_name(observation)
+        name = observed_name(observation)
         if name in observed:
             yield tuple(scan)
             scan, observed = [], set()
@@ -29,10 +29,10 @@ def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT
 
 def distinct(observations: Iterable[ObservationT]) -> list[ObservationT]:
     """Return the observations of one pose without those that repeat another."""
-    by_content = {(_observed_name(s), s.z.tobytes(), s.R.tobytes()): s for s in observations}
+    by_content = {(observed_name(s), s.z.tobytes(), s.R.tobytes()): s for s in observations}
     return list(by_content.values())
 
 
-def _observed_name(observation: Observation | RobotObservation) -> int | str:
+def observed_name(observation: Observation | RobotObservation) -> int | str:
     """Return the ID of the observed landmark, or the name of the observed robot."""
     return observation.id if isinstance(observation, Observation) else observation.observed

@@ -20,7 +20,7 @@ from fej_slam_ros.core.ordering.coarse_stamps import coarse_step
 from fej_slam_ros.core.records import NS, Odometry, Record, RobotScan, Scan, TruePose
 from fej_slam_ros.core.settings import Settings
 from fej_slam_ros.datasets import csv_tables
-from fej_slam_ros.datasets.csv_odometry import contradicted
+from fej_slam_ros.datasets.csv_stamps import contradicted
 
 SUMMARY = 'CSV tables of any robots'
 

@@ -105,6 +105,33 @@ def test_a_clock_set_back_is_refused_in_a_short_log_too(tmp_path):
         csv_tables.read(table, Counter())
 
 
+def landmark_table(tmp_path, rows):
+    """Write observations, given as milliseconds and ID, beside odometry that begins before."""
+    lines = ''.join(f'a,{1_000_000 * at},{id_},1,2,.1,0,.2\n' for at, id_ in rows)
+    return write(tmp_path, odometry=ODOMETRY, landmarks=LANDMARK_HEAD + lines)
+
+
+def test_scans_of_a_clock_set_back_are_refused_though_that_of_odometry_was_not(tmp_path):
+    scans = [*range(1, 9000, 100), *range(6041, 12_000, 100)]
+    table = landmark_table(tmp_path, [(at, id_) for at in scans for id_ in (4, 7)])
+
+    with pytest.raises(UserError, match=r'landmarks.csv: .* by 2.860 s at stamp_ns 6041'):
+        csv_tables.read(table, Counter())
+
+
+@pytest.mark.parametrize('rows', [
+    [(at + 1011 * id_, id_) for id_ in range(9) for at in range(1, 3000, 100)],
+    [(at + later, id_) for later in (0, 37) for at in range(1, 9000, 100) for id_ in (4, 7)],
+    [*((1, id_) for id_ in range(4)), *((501, id_) for id_ in range(4)), (1, 4),
+     *((at, id_) for at in range(501, 9000, 500) for id_ in range(4, 9))],
+    [(int(at), 4) for at in np.random.default_rng(1).permutation(9000)[:90]],
+], ids=['by landmark', 'by sensor', 'a late row', 'in no order'])
+def test_scans_of_one_clock_may_be_listed_in_any_order(tmp_path, rows):
+    records = csv_tables.read(landmark_table(tmp_path, rows), Counter())
+
+    assert sum(len(record.observations) for record in records[1:]) == len(rows)
+
+
 @pytest.mark.parametrize(('name', 'text', 'fault'), [
     ('odometry', 'robot,stamp_ns,x,y,yaw\na,5,0,076,-0,003,0\n',
      'odometry.csv: correct line 2: it has more cells than the first line; decimals'),

@@ -1,16 +1,18 @@
 # SPDX-FileCopyrightText: 2026 The fej_slam_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the stamps of a table of odometry, whose rows are in the order of recording."""
+"""Checks of the stamps of CSV tables, whose rows are in the order of recording."""
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Stamps
 from fej_slam_ros.core.ordering.backward_stamps import breaks, steps_back
-from fej_slam_ros.core.records import NS, Odometry
+from fej_slam_ros.core.records import NS, Odometry, RobotScan, Scan
+from fej_slam_ros.datasets.scans import observed_name
 from fej_slam_ros.errors import UserError
 
 #: Share of rows that step back in time above which they are not in the order of recording.
@@ -19,6 +21,8 @@ MAX_SHARE_BACK = 0.05
 MIN_STEP = 10_000
 #: Time [ns] without rows, a day, before or after which up to this many rows have wrong stamps.
 MAX_STEP, MAX_STRAYS = 24 * 3600 * NS, 10
+#: Share of the time of a table from which on a time that is passed twice is that of two sensors.
+MAX_OVERLAP = 0.5
 
 
 def require_one_clock(path: Path, odometry: Iterable[Odometry]) -> None:
@@ -34,16 +38,47 @@ def require_one_clock(path: Path, odometry: Iterable[Odometry]) -> None:
         of_robot = np.array(recorded)
         if fault := _unit_or_stray(np.unique(of_robot)):
             raise UserError(f'{path}, rows of {robot}: {fault}')
-        if len(steps_back(of_robot)) > max(MAX_SHARE_BACK * len(of_robot), 1):
-            continue
-        rows = breaks(of_robot)
-        if rows:
-            row = rows[0]
-            raise UserError(
-                f'{path}: the time of {robot} goes back by'
-                f' {(recorded[row - 1] - recorded[row]) / NS:.3f} s at stamp_ns {recorded[row]},'
-                ' to a time that has rows before: its clock was set back, or recordings were'
-                ' joined; correct the stamps, or convert each part on its own')
+        _refuse_first(path, robot, _steps_of_clock(of_robot))
+
+
+def require_one_clock_of_scans(path: Path, scans: Iterable[Scan | RobotScan]) -> None:
+    """
+    Raise a `UserError` if a robot's scans, as recorded, pass a time twice.
+
+    Tables of one landmark after the other pass all of it again, as do those of one sensor after
+    the other; rows that are in no order repeat the stamps of others.
+    """
+    of_robots: dict[str, list[Scan | RobotScan]] = defaultdict(list)
+    for scan in scans:
+        of_robots[scan.robot].append(scan)
+    for robot, recorded in of_robots.items():
+        if not _is_by_landmark(recorded):
+            stamps = np.array([*dict.fromkeys(scan.stamp for scan in recorded)])
+            _refuse_first(path, robot, [
+                (before, after) for before, after in _steps_of_clock(stamps)
+                if before - after < MAX_OVERLAP * np.ptp(stamps)])
+
+
+def _is_by_landmark(scans: Iterable[Scan | RobotScan]) -> bool:
+    """Return whether the rows of scans are in the order of what they observe."""
+    names = [observed_name(seen) for scan in scans for seen in scan.observations]
+    return 1 < len({*names}) == len([*groupby(names)])
+
+
+def _steps_of_clock(stamps: Stamps) -> list[tuple[int, int]]:
+    """Return the stamps before and after each step of a clock; none if rows are in no order."""
+    if len(steps_back(stamps)) > max(MAX_SHARE_BACK * len(stamps), 1):
+        return []
+    return [(int(stamps[row - 1]), int(stamps[row])) for row in breaks(stamps)]
+
+
+def _refuse_first(path: Path, robot: str, steps: Sequence[tuple[int, int]]) -> None:
+    if steps:
+        before, after = steps[0]
+        raise UserError(
+            f'{path}: the time of {robot} goes back by {(before - after) / NS:.3f} s at stamp_ns'
+            f' {after}, to a time that has rows before: its clock was set back, or recordings'
+            ' were joined; correct the stamps, or convert each part on its own')
 
 
 def contradicted(odometry: Iterable[Odometry]) -> list[int]:
