@@ -126,7 +126,7 @@ class FrameNames:
 
     def restore(self, stored: dict[str, Any]) -> None:
         """Restore the state of a snapshot."""
-        self._odometry = stored['odometry_frames']
+        self._odometry = {**stored['odometry_frames']}
         for robot, names in stored['child_frames'].items():
             self._children[robot].update(names)
 

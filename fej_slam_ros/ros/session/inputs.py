@@ -49,6 +49,7 @@ class Inputs:
     Attributes
     ----------
     frames : names of frames, in part from the odometry
+    mounts : poses of the sensors, from static transforms
     unused : number of messages on each topic that is not used
     time_jump_detector : passes the records on, and detects that time jumps back
     health : whether messages arrive, and are used
@@ -67,7 +68,7 @@ class Inputs:
         self.unused: Counter[str] = Counter()
         self.time_jump_detector = TimeJumpDetector(consumer, settings.on_time_jump == 'reset')
         self.frames = FrameNames(consumer, settings)
-        self._mounts = SensorMounts(self.frames)
+        self.mounts = SensorMounts(self.frames)
         self.health = InputHealth(consumer)
         self.on_odometry: Callable[[Odometry, Message], None] = lambda record, message: None
         self.initialpose_robot = ''
@@ -95,7 +96,7 @@ class Inputs:
         if arrived.topic == TRUE_LANDMARKS:
             self._receive_landmarks(arrived)
         elif kind == STATIC_TF and self._uses_static(arrived.topic):
-            for reason in self._mounts.receive(arrived):
+            for reason in self.mounts.receive(arrived):
                 self._reject('', arrived.received or 0, reason)
         elif kind not in self.robot_topics or '/' in name or name in RESERVED_NAMES:
             self.unused[arrived.topic] += 1
@@ -126,6 +127,14 @@ class Inputs:
         for name in [*self._waiting_scans]:
             self._reject_waiting_scans(name, RejectionReason.WRONG_FRAME)
 
+    def continue_from(self, earlier: 'Inputs') -> None:
+        """Take over static transforms, which are sent once, and input since time jumped."""
+        self.mounts.restore(earlier.mounts.snapshot())
+        jump = earlier.time_jump_detector.jump
+        if jump is not None:
+            self.frames.restore(earlier.frames.snapshot())
+            self.time_jump_detector.follow(jump)
+
     def remove_robot(self, robot: str) -> None:
         """Delete the state of a robot that was removed, and reject its waiting messages."""
         for arrived in self.start_check.remove_robot(robot):
@@ -141,7 +150,7 @@ class Inputs:
             'unused': self.unused,
             'time_jump': to_plain(self.time_jump_detector.snapshot(), self._consumer.settings),
             **self.frames.snapshot(),
-            'mounts': self._mounts.snapshot(),
+            'mounts': self.mounts.snapshot(),
             'held_odometry': {
                 robot: [held.missed, [[_bytes(odom), at] for _, odom, at in held.arrived]]
                 for robot, held in self.start_check.held().items()},
@@ -156,12 +165,12 @@ class Inputs:
         self.time_jump_detector.resume(
             from_plain(stored['time_jump'], self._consumer.settings))
         self.frames.restore(stored)
-        self._mounts.restore(stored.get('mounts', {}))
+        self.mounts.restore(stored['mounts'])
         self.start_check = StartCheck({
             robot: HeldOdometry(missed, [
                 _arrived(deserialize(raw.tobytes(), ODOMETRY), self._consumer.robots[robot], at)
                 for raw, at in arrived])
-            for robot, (missed, arrived) in stored.get('held_odometry', {}).items()})
+            for robot, (missed, arrived) in stored['held_odometry'].items()})
         for robot, scans in stored['waiting_scans'].items():
             self._waiting_scans[robot] = [
                 (kind, deserialize(raw.tobytes(), CLOUD), at) for kind, raw, at in scans]
@@ -243,7 +252,7 @@ class Inputs:
         frame, of_sensor = frame.lstrip('/'), (robot.sensor_frame or '').lstrip('/')
         if frame == of_sensor or self.frames.is_base(robot.name, frame):
             return robot
-        pose = self._mounts.pose(robot.name, frame)
+        pose = self.mounts.pose(robot.name, frame)
         return None if pose is None else replace(robot, sensor_pose=incoming.planar_mount(pose))
 
     def _let_wait(self, kind: str, robot: str, cloud: Message, received: int | None) -> None:

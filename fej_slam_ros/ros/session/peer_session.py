@@ -182,7 +182,7 @@ class PeerSession(SmootherSession):
             return self._adopted()
         peer, result = solution
         self._rendezvous.end(peer, monotonic_ns())
-        if result is None:
+        if result is None or peer not in self.team.robots:
             return iter(())
         self.team.adopt_rendezvous(peer, result)
         self.log.add_rendezvous(peer, result)
@@ -198,9 +198,10 @@ class PeerSession(SmootherSession):
             self._report_unsolved(task.logs, error)
             return
         self._rendezvous.end(task.peer, monotonic_ns() + FAILURE_PAUSE)
-        self.team.rendezvous_results[task.peer] = RendezvousResult(
-            b'', JoinFailure(error), 0, None)
-        self.log.add_failed_rendezvous(task.peer, error)
+        if task.peer in self.team.robots:
+            self.team.rendezvous_results[task.peer] = RendezvousResult(
+                b'', JoinFailure(error), 0, None)
+            self.log.add_failed_rendezvous(task.peer, error)
 
     def checkpoint_content(self) -> bytes:
         """Reject it: the file of the exchange has all measurements at any time."""

@@ -68,11 +68,9 @@ class Session(ABC):
     _files: RunFiles | LiveFiles | None
 
     def continue_from(self, earlier: 'Session') -> None:
-        """Take over the true map of an ended run, and the input received since time jumped."""
+        """Take over what an ended run received once, and its input since time jumped."""
         self.consumer.truth.landmarks.update(earlier.consumer.truth.landmarks)
-        jump = earlier.inputs.time_jump_detector.jump
-        if jump is not None:
-            self.inputs.time_jump_detector.follow(jump)
+        self.inputs.continue_from(earlier.inputs)
 
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         """Add a message; return the publications that wait for no step."""

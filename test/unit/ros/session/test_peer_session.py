@@ -243,6 +243,30 @@ def test_the_pose_of_the_map_of_the_other_is_published_before_any_of_its_map(clo
     assert sum(len(m.data) for topic, m in published if topic == EXCHANGE_TOPIC) < 10_000
 
 
+def test_a_robot_that_left_the_team_while_its_rendezvous_was_computed_is_not_aligned(
+    clock, monkeypatch
+):
+    sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
+    run, computed = sessions['p'], []
+    adopt = run.adopt
+
+    def adopt_after_a_change(solution):
+        if isinstance(solution, tuple) and not isinstance(solution[1].alignment, JoinFailure):
+            computed.append(solution)
+            run.change_team(['p', 'z'])
+        return adopt(solution)
+
+    monkeypatch.setattr(run, 'adopt', adopt_after_a_change)
+    for message in messages():
+        feed(sessions, message)
+
+    published = exchanged(sessions, clock, 6.0)
+
+    assert [peer for peer, _ in computed] == ['q']
+    assert 'q/base_node' not in {topic for topic, _ in published}
+    assert isinstance(run.team.rendezvous_results['q'].alignment, JoinFailure)
+
+
 def test_maps_are_aligned_after_a_packet_with_rendezvous_information_was_lost(clock):
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
     # All own observations are known before the robots are in reach.

@@ -168,6 +168,18 @@ def test_a_restored_run_knows_the_mounts():
     np.testing.assert_allclose(landmark(second), [0.5, 2.2], atol=1e-12)
 
 
+def test_a_run_that_follows_another_knows_its_mounts_which_are_sent_once():
+    first = run_of(mounts(MAST, LASER))
+    second = EstimatorSession(first.next_settings(output=''), None)
+
+    second.continue_from(first)
+    for message in (raw('r1/odom', odometry_message(0), 0), scan('r1/laser')):
+        list(second.receive(message))
+    list(second.close())
+
+    np.testing.assert_allclose(landmark(second), [0.5, 2.2], atol=1e-12)
+
+
 def test_replay_reads_the_mounts_from_the_bag(tmp_path):
     bag = write_bag(tmp_path / 'bag', [
         mounts(MAST, LASER), raw('r1/odom', odometry_message(0), 0), scan('r1/laser')])

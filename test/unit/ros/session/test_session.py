@@ -63,12 +63,13 @@ def test_a_run_that_follows_has_the_true_map_and_the_input_since_the_jump(sessio
     true_map = meeting_truth()[0]
     earlier.receive(raw_record(true_map))
     for ms in [*range(5000, 7000, 100), *range(0, 500, 100)]:
-        earlier.receive(raw('r1/odom', odometry_message(ms), ms))
+        earlier.receive(raw('r1/odom', odometry_message(ms, child='base'), ms))
     assert earlier.inputs.time_jump_detector.has_ended_run()
 
     following.continue_from(earlier)
 
     assert following.consumer.truth.landmarks.keys() == true_map.positions.keys()
+    assert following.inputs.frames.base('r1') == 'base'
     assert [stamp // 10**6 for _, stamp in poses(following.release())] == [0, 100, 200, 300, 400]
 
 
