@@ -36,6 +36,9 @@ def parse(values: Mapping[str, object], warn: Warn = warn_once) -> RunSettings:
 def estimation_of(values: Mapping[str, object]) -> Settings:
     """Return the settings of which `deciding` has returned the values."""
     robots = robot_names(values['robots'])
+    if values['initialpose_robot'] not in robots:
+        # A parameter of the estimator alone, for a team that a smoother has had since.
+        values = {**values, 'initialpose_robot': ''}
     given, _ = _divided_by_owner(checked_values(values, known_parameters(robots)), robots)
     return _estimation_settings(robots, given, has_peers=False)
 

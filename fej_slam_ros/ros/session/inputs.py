@@ -123,6 +123,7 @@ class Inputs:
         """Pass on or reject the waiting messages at the end of the input."""
         for arrived in self.start_check.close():
             self._add_odometry(arrived)
+            self._pass_on_waiting_scans(arrived.record.robot)
         self.time_jump_detector.close()
         for name in [*self._waiting_scans]:
             self._reject_waiting_scans(name, RejectionReason.WRONG_FRAME)
@@ -177,16 +178,29 @@ class Inputs:
 
     def _receive_from_robot(self, name: str, kind: str, arrived: RawMessage) -> None:
         """Pass on a message on a topic of a robot, and note whether it is rejected."""
-        statistics = self._consumer.statistics
-        rejected_before = statistics.rejected.get(name, 0)
+        rejected = self._consumer.statistics.rejected.get(name, 0)
         if not self._reject_too_large(name, kind, arrived):
             message = self._decoded(name, arrived, self.robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
-        is_rejected = statistics.rejected.get(name, 0) > rejected_before
-        self.health.receive(
-            name, kind, arrived.received,
-            statistics.rejections[-1].reason if is_rejected else None)
+        self.health.receive(name, kind, arrived.received, self._reason_since(name, rejected))
+        if kind == 'odom' and name in self._waiting_scans and self.frames.knows_base(name):
+            self._pass_on_waiting_scans(name)
+
+    def _reason_since(self, robot: str, rejected: int) -> RejectionReason | None:
+        """Return the newest reason if more messages of a robot are rejected than before."""
+        statistics = self._consumer.statistics
+        is_rejected = statistics.rejected.get(robot, 0) > rejected
+        return statistics.rejections[-1].reason if is_rejected else None
+
+    def _pass_on_waiting_scans(self, robot: str) -> None:
+        """Pass on the scans that have waited for the first odometry of a robot."""
+        for kind, cloud, received in self._waiting_scans.pop(robot, []):
+            rejected = self._consumer.statistics.rejected.get(robot, 0)
+            self._pass_on(kind, self._consumer.robots[robot], cloud, received)
+            reason = self._reason_since(robot, rejected)
+            if reason is not None:
+                self.health.flow(robot, kind).reject(received, reason)
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         message = decoded_as(arrived, type_name)
@@ -243,9 +257,6 @@ class Inputs:
             record.pose, (velocity.linear.x, velocity.angular.z), record.twist_covariance)
         self.frames.add(record.robot, message)
         self.on_odometry(record, message)
-        robot = self._consumer.robots[record.robot]
-        for kind, cloud, received_earlier in self._waiting_scans.pop(record.robot, []):
-            self._pass_on(kind, robot, cloud, received_earlier)
 
     def _mounted(self, robot: RobotSettings, frame: str) -> RobotSettings | None:
         """Return a robot with the pose of the sensor of a frame, None if that is unknown."""
@@ -295,8 +306,9 @@ class Inputs:
         return topic.lstrip('/') in {name.lstrip('/') for name in self.static_topics}
 
     def _reject_waiting_scans(self, robot: str, reason: RejectionReason) -> None:
-        for _, cloud, _ in self._waiting_scans.pop(robot, []):
+        for kind, cloud, received in self._waiting_scans.pop(robot, []):
             self._reject(robot, from_time(cloud.header.stamp), reason)
+            self.health.flow(robot, kind).reject(received, reason)
 
     def _reject(self, robot: str, stamp: int, reason: RejectionReason) -> None:
         self._consumer.statistics.reject_message(robot, stamp, reason)

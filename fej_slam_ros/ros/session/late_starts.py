@@ -144,7 +144,7 @@ class LateStarts(StartCheck):
     def close(self) -> Iterator[ArrivedOdometry]:
         """Yield the odometry held at the end of the input, after a start pose that is not used."""
         for robot in [*self._held]:
-            self._void(robot, 'it sent only one odometry message')
+            self._void(robot, 'it sent too little odometry before the end')
             yield from self._held.pop(robot)
 
     def topics(self) -> list[str]:

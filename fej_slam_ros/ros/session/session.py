@@ -146,8 +146,10 @@ class Session(ABC):
         """Return the settings of a run that follows this one, with its present team."""
         settings, robots = self.present_settings(), self.consumer.robots
         anchor = settings.anchor if settings.anchor in {'', *robots} else next(iter(robots))
+        placed = settings.initialpose_robot
         return self.settings.followed_by(
-            replace(settings, anchor=anchor),
+            replace(
+                settings, anchor=anchor, initialpose_robot=placed if placed in robots else ''),
             replace(self.settings.node, output=output, restore=''))
 
     def change_node_settings(self, node: NodeSettings) -> None:

@@ -67,7 +67,11 @@ class TopicFlow:
             self.rejected_since = min(self.rejected_since, received)
         if reason is None:
             self.rejected_in_a_row.clear()
-            return
+        else:
+            self.reject(received, reason)
+
+    def reject(self, received: int | None, reason: RejectionReason) -> None:
+        """Note that a message, which had perhaps waited, is rejected."""
         if not self.rejected_in_a_row:
             self.rejected_since = received or 0
         self.rejected_in_a_row[reason] += 1

@@ -120,6 +120,7 @@ def test_delays_below_max_delay_do_not_matter(replay, summary, seed):
     assert (summary()['depends_on_arrival'], summary()['counts']['late']) == (False, 0)
 
 
+@pytest.mark.parametrize('order', [1, -1], ids=['odometry first', 'scans first'])
 @pytest.mark.parametrize(('changes', 'topics', 'reason', 'cure'), [
     ({'frame': 'camera'}, '<robot>/landmarks and <robot>/robots', '2 wrong_frame',
      'set frame_id to <robot>/base_link'),
@@ -127,13 +128,13 @@ def test_delays_below_max_delay_do_not_matter(replay, summary, seed):
     ({'twist_covariance': -np.eye(6)}, '<robot>/odom', '3 bad_covariance',
      'correct twist.covariance, give all zero if unknown, or set <robot>.use_odometry')])
 def test_input_that_is_all_rejected_is_an_error_after_the_files_are_written(
-        replay, summary, changes, topics, reason, cure):
+        replay, summary, changes, topics, reason, cure, order):
     frame = {'frame': changes['frame']} if 'frame' in changes else {}
     turn = {} if frame else changes
 
     status, table, error = replay([
         *(odom(ms, **turn) for ms in (0, 100, 200)),
-        *(scan(ms, (1, 2.0, 1.0), **frame) for ms in (50, 100))])
+        *(scan(ms, (1, 2.0, 1.0), **frame) for ms in (100, 50))][::order])
 
     assert status == 1
     assert f'all {reason[0]} messages on {topics} are rejected: {reason}: {cure}' in error

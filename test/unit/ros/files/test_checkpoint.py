@@ -484,6 +484,16 @@ def test_a_killed_process_that_is_started_as_before_continues_its_second_run(pat
     assert changes == "robots = ['r3', 'r2'], not ['r1', 'r2'], anchor = 'r3', not 'r1'"
 
 
+@pytest.mark.parametrize('session', [EstimatorSession, SmootherSession])
+def test_a_second_run_without_the_robot_that_rviz_places_is_restored_too(path, session):
+    save(second_run(path, session, initialpose_robot='r1'))
+
+    restored = session(run_settings(restore=str(path), initialpose_robot='r1'), None)
+
+    assert [*restored.consumer.robots] == ['r3', 'r2']
+    assert restored.present_settings().initialpose_robot == ''
+
+
 def test_the_changed_parameters_of_a_second_run_restore_it_too_and_others_do_not(path):
     saved = second_run(path, EstimatorSession)
     save(saved)

@@ -218,6 +218,8 @@ def test_a_scan_in_another_frame_waits_for_the_child_frame_of_odometry():
 
     assert (before, run.estimator.statistics.received['r1']) == (0, 4)
     assert rejection_counts(run) == {'wrong_frame': 1}
+    flows = run.inputs.health.robots['r1'].flows
+    assert [flows[kind].rejected_in_a_row.total() for kind in ('landmarks', 'odom')] == [1, 0]
     assert set(run.estimator.groups.team.state.landmarks) == {('', 2)}
 
 
