@@ -161,9 +161,14 @@ class LiveFiles(LiveWriter):
 
     def _flush(self) -> None:
         self._files.flush()
+        self._open_new_robots()
+        while self._poses:
+            # That of the next pose may have joined since, and was queued before the pose.
+            self._open_new_robots()
+            self._files.write([self._poses.popleft()])
+        self._files.flush()
+
+    def _open_new_robots(self) -> None:
         while self._new_robots:
             self._files.add_robots([self._new_robots[0]])
             self._new_robots.popleft()
-        while self._poses:
-            self._files.write([self._poses.popleft()])
-        self._files.flush()

@@ -69,6 +69,27 @@ def test_a_disk_that_takes_nothing_delays_only_the_end(folder, stuck, monkeypatc
     assert len(csv_rows(folder / 'trajectory_r1.csv')) == 50
 
 
+def test_poses_of_a_robot_that_joins_while_the_disk_stalls_are_written(folder, monkeypatch):
+    is_writing, may_write, write = Event(), Event(), RunFiles.write
+
+    def stalled(files, poses):
+        is_writing.set()
+        may_write.wait(10.0)
+        write(files, poses)
+
+    monkeypatch.setattr(RunFiles, 'write', stalled)
+    files = LiveFiles(RunFiles(folder, ['r1'], None))
+    files.write(POSES[:1])
+    assert is_writing.wait(10.0)
+
+    files.add_robots(['r1', 'r2'])
+    files.write(replace(pose, robot='r2') for pose in POSES)
+    may_write.set()
+
+    assert completed(files) == ''
+    assert len(csv_rows(folder / 'trajectory_r2.csv')) == 50
+
+
 def test_poses_beyond_the_bound_are_lost_and_counted(folder, stuck, monkeypatch):
     monkeypatch.setattr(live_files, 'MAX_WAITING_POSES', 20)
     files = LiveFiles(RunFiles(folder, ['r1'], None))
