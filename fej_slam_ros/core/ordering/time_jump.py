@@ -14,7 +14,6 @@ odometry that is as far ahead of the whole team is held until the next of its ro
 the team has paused or the stamp is wrong.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,7 +46,7 @@ class TimeJump:
     length: int  #: [ns]
     end: int  #: stamp of the newest odometry before the jump [ns]
     pending: frozenset[Source]  #: sources from which old records may still arrive
-    held: Sequence[Held]  #: records since the jump, if another run follows
+    held: list[Held]  #: records since the jump, if another run follows
 
 
 @dataclass(slots=True)
@@ -99,7 +98,7 @@ class TimeJumpDetector:
         self._pending: set[Source] = set()
 
     def add(self, record: TimedRecord, received: int | None) -> bool:
-        """Pass on, hold or reject a record; return whether the consumer has accepted it."""
+        """Pass on, hold or reject a record; return whether it is passed on, and accepted."""
         newest = self._newest.get(_source(record), record.stamp)
         is_usual = newest <= record.stamp <= newest + self._limit
         if is_usual and not (
@@ -109,7 +108,9 @@ class TimeJumpDetector:
             self._settle_ahead(record)
             if self._hold_ahead(record, received):
                 return False
-        if self.jump is not None:
+        if self.jump is not None and self._resets:
+            self.jump.held.append((record, received))
+        elif self.jump is not None:
             self._reject(record, RejectionReason.AFTER_TIME_JUMP)
         elif self._is_of_earlier_run(record):
             self._reject(record, RejectionReason.BEFORE_TIME_JUMP)
@@ -208,13 +209,15 @@ class TimeJumpDetector:
         """
         Return whether a record is far behind its source, or behind other robots that went back.
 
-        A robot that is only heard from in a second pass has no stamps of the first.
+        A robot that is only heard from in a second pass has no stamps of the first. A pose may be
+        given for any time.
 
         """
         begin = min((back.begin for back in self._backward.values()), default=record.stamp)
         return (
             begin - record.stamp > self._limit
-            or self._is_behind(record.stamp, _source(record))
+            or (not isinstance(record, PosePrior)
+                and self._is_behind(record.stamp, _source(record)))
             or (record.robot in self._backward
                 and self._is_behind(record.stamp, (record.robot, Odometry))))
 

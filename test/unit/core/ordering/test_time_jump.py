@@ -4,11 +4,12 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from fej_slam_ros.core.ordering import time_jump
 from fej_slam_ros.core.ordering.time_jump import MAX_WAIT_FOR_OTHERS, MIN_RETURN_RECORDS
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import NS, PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session import simulation
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
@@ -71,6 +72,32 @@ def test_a_reset_starts_a_new_run_with_the_first_message_of_the_second_pass():
     assert hashes(runs) == [HASH] * 3
     assert [counts(run) for run in runs] == [{}] * 3
     assert [run.estimator.used('r1') for run in runs] == [ONE_PASS.estimator.used('r1')] * 3
+
+
+def test_what_is_received_before_the_new_run_begins_is_used_by_it():
+    earlier, following = (
+        EstimatorSession(run_settings(on_time_jump='reset'), None) for _ in range(2))
+    second = later(PASS)
+    for message in [*PASS, *second[:DETECTED + 8]]:
+        earlier.receive(message)
+    list(earlier.close())
+
+    following.continue_from(earlier)
+    for message in second[DETECTED + 8:]:
+        following.receive(message)
+    list(following.close())
+
+    assert hashes([earlier, following]) == [HASH] * 2
+    assert [counts(run) for run in (earlier, following)] == [{}] * 2
+
+
+def test_a_pose_that_is_given_for_an_earlier_time_than_the_last_one_is_no_jump():
+    run = EstimatorSession(run_settings(), None)
+    given = [PosePrior('r1', stamp * MS, np.zeros(3), np.eye(3)) for stamp in (3900, 0)]
+    for message in [*PASS, *map(raw_record, given)]:
+        run.receive(message)
+
+    assert run.inputs.health.pose_priors == {'r1': [3900 * MS, 0]}
 
 
 def test_a_second_pass_longer_than_the_first_is_not_mixed_with_it():

@@ -123,7 +123,8 @@ def connecting(domain, node, monkeypatch):
     playing = player.Player(node, {'r1/odom': ODOMETRY}, (), 1.0, clock=True)
     # A volatile publisher does not offer what this subscription requests.
     refused = domain.node.create_subscription(
-        live_helpers.message_class(CLOCK), '/clock', print, qos.reliable(1, latched=True))
+        live_helpers.message_class(CLOCK), '/clock', lambda message: None,
+        qos.reliable(1, latched=True))
     domain.until(lambda: node.count_subscribers('/clock'))
     return playing, refused
 
