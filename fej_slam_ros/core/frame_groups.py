@@ -133,6 +133,10 @@ class FrameGroups:
         if robot == self._settings.anchor:
             self.is_initialized = True
 
+    def uses_start(self, robot: str) -> bool:
+        """Return whether a robot begins, or has begun, at its configured pose."""
+        return self._initial_pose(self.robots[robot]) is not None
+
     def _has_reference(self) -> bool:
         """Return whether landmarks, robots or start poses in ``map`` fix it besides the anchor."""
         others = self.team.robots.keys() - {self._settings.anchor}

@@ -120,10 +120,10 @@ class ObservationSeries(TopicSeries):
         zero = np.zeros(size)
         x, y, var_x, var_y = (
             columns.get(name, zero).astype(float) for name in ('x', 'y', 'var_x', 'var_y'))
-        self.ids.append(columns.get('id', np.full(size, NO_ID)).astype(np.int64))
-        self.id_counts.update(self.ids[-1].tolist())
         with np.errstate(over='ignore', invalid='ignore'):
+            self.ids.append(columns.get('id', np.full(size, NO_ID)).astype(np.int64))
             self.ranges.append(np.hypot(x, y))
+        self.id_counts.update(self.ids[-1].tolist())
         self.variances.append(np.column_stack([var_x, var_y]))
 
     def positions(self) -> tuple[Stamps, Array]:

@@ -33,7 +33,7 @@ class NodeDiagnostics:
         for endpoint in incompatible:
             if endpoint not in diagnostics.conditions.incompatible:
                 self._log.error(str(endpoint))
-        for robot in others.keys() - diagnostics.conditions.other_publishers.keys():
+        for robot in sorted(others.keys() - diagnostics.conditions.other_publishers.keys()):
             self._log.warning(f'{robot}: {also_published(others[robot])}')
         diagnostics.conditions = NodeConditions(
             incompatible, self._topics.publishers(incompatible), others, self._files.check(),

@@ -131,9 +131,9 @@ class NodeFiles:
     def check(self) -> dict[str, str]:
         """Log new errors, and those that are over; return the present ones."""
         errors = self.errors()
-        for name in errors.keys() - self._logged:
+        for name in sorted(errors.keys() - self._logged):
             self._log.error(f'{errors[name]}; the run goes on')
-        for name in self._logged - errors.keys():
+        for name in sorted(self._logged - errors.keys()):
             self._log.info(f'the files of {name!r} are written again')
         self._logged = {*errors}
         return errors

@@ -4,6 +4,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from itertools import compress
 import re
 
 import numpy as np
@@ -141,12 +142,12 @@ class AdapterSession(FrontEnd):
             return
         for sensed in object_format.read(message):
             named = [item._replace(name=self._common_name(item.name)) for item in sensed.objects]
-            used = [
-                item for item in named
-                if not item.name or is_used(item.name) or self._carrier(item.name)]
+            is_known = [
+                not item.name or is_used(item.name) or self._carrier(item.name) for item in named]
+            used = [*compress(named, is_known)]
             if len(used) < len(named):
                 self._counts.ignore(name, sensed.header.frame_id.lstrip('/'), [
-                    item.name for item in named if item not in used])
+                    item.name for item, known in zip(named, is_known) if not known])
             # A message without objects is an empty scan, one with others only is none.
             if used or not sensed.objects:
                 self._add(name, sensed._replace(objects=used))

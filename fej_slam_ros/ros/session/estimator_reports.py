@@ -130,7 +130,6 @@ class EstimatorLog(RunLog[Estimator]):
         # When landmarks were moved last [ns] by owner and ID, 0 for those that are not forgotten.
         self._moved: dict[tuple[str, int | None], int] = {}
         self._relocalized = estimator.statistics.relocalized.copy()
-        self._restarted: list[str] = []
         self._restart_stamps: dict[str, int] = {}  # of the latest restart of each robot [ns]
         self._restarts_often: dict[str, bool] = {}  # whether it soon followed the one before
         self._was_initialized = estimator.groups.is_initialized
@@ -146,9 +145,9 @@ class EstimatorLog(RunLog[Estimator]):
         """Add the lines of a step."""
         self._note_first_messages()
         self._note_step_0(result)
-        self._note_restarts(result.stamp)
+        restarted = self._note_restarts(result.stamp)
         members = self._present_members()
-        if members != self._members or self._restarted:
+        if members != self._members or restarted:
             frames = _frames_of(members)
             self._note_frames(frames)
             self._members, self._frames = members, frames
@@ -195,11 +194,12 @@ class EstimatorLog(RunLog[Estimator]):
                 f'step 0 at {result.stamp / NS:.3f} s: the anchor {self._consumer.settings.anchor}'
                 f' observes its first landmark, in {MAP}: {", ".join(groups.team.robots)}'))
 
-    def _note_restarts(self, stamp: int) -> None:
+    def _note_restarts(self, stamp: int) -> list[str]:
+        """Add the lines of the robots that have restarted, and return these."""
         relocalized = self._consumer.statistics.relocalized
-        self._restarted = [
+        restarted = [
             name for name in relocalized if relocalized[name] > self._relocalized[name]]
-        for robot in self._restarted:
+        for robot in restarted:
             was_in_map = self._frames.pop(robot, MAP) == MAP
             is_often = stamp - self._restart_stamps.get(robot, -sys.maxsize) < OFTEN
             self._restart_stamps[robot], self._restarts_often[robot] = stamp, is_often
@@ -212,6 +212,7 @@ class EstimatorLog(RunLog[Estimator]):
                 reason = self._consumer.statistics.restart_reasons[robot]
                 self.add(severity, f'{robot} restarts: {reason}')
             self._relocalized[robot] = relocalized[robot]
+        return restarted
 
     def _note_frames(self, frames: dict[str, str]) -> None:
         moved: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
@@ -231,13 +232,12 @@ class EstimatorLog(RunLog[Estimator]):
 
     def _note_start(self, robot: str, frame: str) -> None:
         if frame == MAP:
-            is_first = robot not in self._restarted
-            if is_first and robot == self._consumer.settings.anchor:
-                cause = 'its anchor_pose'
-            elif is_first and self._consumer.robots[robot].start_pose is not None:
-                cause = 'its start_pose'
-            else:
+            if not self._consumer.groups.uses_start(robot):
                 cause = 'its observations'
+            elif robot == self._consumer.settings.anchor:
+                cause = 'its anchor_pose'
+            else:
+                cause = 'its start_pose'
             self.add(self._severity_of_joins([robot]), f'{robot} joined {frame}, by {cause}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')

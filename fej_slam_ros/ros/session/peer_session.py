@@ -145,8 +145,7 @@ class PeerSession(SmootherSession):
         if message.topic != EXCHANGE_TOPIC:
             return super().receive(message)
         content = decoded(message.raw, EXCHANGE_TYPE)
-        if content is not None:
-            self._exchange.receive(bytes(content.data), monotonic_ns())
+        self._exchange.receive(b'' if content is None else bytes(content.data), monotonic_ns())
         return ()
 
     def exchange(self) -> Iterator[Publication]:

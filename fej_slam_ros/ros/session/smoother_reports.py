@@ -98,9 +98,9 @@ class SmootherLog(RunLog[TeamSmoother]):
             if trajectory.frame == MAP and robot not in self._joined:
                 self._joined.add(robot)
                 self.add(LogSeverity.INFO, f'{robot} joined {MAP}, by {self._cause(robot)}')
-        for robot in unsolved.keys() - self._unsolved:
+        for robot in sorted(unsolved.keys() - self._unsolved):
             self.add(LogSeverity.WARN, f'{robot} is not smoothed: {unsolved[robot]}')
-        for robot in self._unsolved - unsolved.keys():
+        for robot in sorted(self._unsolved - unsolved.keys()):
             self.add(LogSeverity.INFO, f'{robot} is smoothed again')
         self._unsolved = {*unsolved}
 

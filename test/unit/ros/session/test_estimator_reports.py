@@ -18,8 +18,8 @@ from fej_slam_ros.ros.session.node_conditions import NodeConditions
 from fej_slam_ros.ros.topic_types import ODOMETRY
 from helpers.records import MS, odometry, robot_scan, scan
 from helpers.ros import (
-    drive, LANDMARKS, log_texts, meeting, meeting_truth, odometry_message, raw, raw_record,
-    run_settings, seen, through_cdr)
+    drive, feed, LANDMARKS, log_texts, meeting, meeting_truth, odometry_message, raw,
+    raw_record, run_settings, seen, through_cdr)
 
 OK, WARN, ERROR = 0, 1, 2
 NOW = 2_000_000_000
@@ -347,6 +347,20 @@ def test_a_known_start_is_the_cause():
     known = [('r2', (1.0, -3.0, 0.0), (0.1, 0.1, 0.1))]
 
     assert 'r2 joined map, by its start_pose' in lines_of(meeting(), known=known)
+
+
+def test_a_start_that_a_robot_no_longer_uses_when_it_comes_back_is_not_the_cause():
+    known = [('r2', (1.0, -3.0, 0.0), (0.1, 0.1, 0.1))]
+    run = EstimatorSession(run_settings(known=known), None)
+    messages = [raw_record(record) for record in meeting(41)]
+
+    feed(run, messages[:80])
+    run.change_team(['r1'])
+    run.log.take()
+    run.change_team(['r1', 'r2'])
+    feed(run, messages[80:])
+
+    assert 'r2 joined map, by its observations' in log_texts(run)
 
 
 def test_a_prior_map_is_the_cause(tmp_path):
