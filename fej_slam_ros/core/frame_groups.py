@@ -94,8 +94,8 @@ class FrameGroups:
         self.robots: dict[str, RobotSettings] = {}  #: by name, in the order of processing
         self.not_in_map: dict[str, str] = {}  #: reason for each robot that is not in ``map``
         self.is_initialized = not settings.anchor  #: whether step 0 is done; true without anchor
-        # Why the configured initial pose of a robot is not valid; '' if it is used up.
-        self._void_starts: dict[str, str] = {}
+        #: why the configured initial pose of a robot is not used; '' if it is used up
+        self.void_starts: dict[str, str] = {}
         self._has_joined_robots = False  # whether robots have joined the team in ``map``
         # Increment u and covariance Q between the initial pose of a robot and its first odometry.
         self._motion_before: dict[str, tuple[Array, Array]] = {}
@@ -129,13 +129,9 @@ class FrameGroups:
 
     def void_start(self, robot: str, reason: str) -> None:
         """Let a robot begin in a frame of its own; without its anchor, ``map`` has no step 0."""
-        self._void_starts[robot] = reason
+        self.void_starts[robot] = reason
         if robot == self._settings.anchor:
             self.is_initialized = True
-
-    def uses_start(self, robot: str) -> bool:
-        """Return whether a robot begins, or has begun, at its configured pose."""
-        return self._initial_pose(self.robots[robot]) is not None
 
     def _has_reference(self) -> bool:
         """Return whether landmarks, robots or start poses in ``map`` fix it besides the anchor."""
@@ -179,10 +175,10 @@ class FrameGroups:
         # An anchor that has observed no landmark yet may define ``map`` again by its present pose,
         # unless ``map`` is given otherwise: then there is no step 0.
         if robot == self._settings.anchor and (
-                self.is_map_given() or robot in self._void_starts):
+                self.is_map_given() or robot in self.void_starts):
             self.is_initialized = True
         if self.may_leave(robot):
-            self._void_starts[robot] = reason
+            self.void_starts[robot] = reason
         self.begin(self.robots[robot], stamp)
 
     def place(self, robot: str, stamp: int, pose: Array, P: Array) -> None:
@@ -193,14 +189,14 @@ class FrameGroups:
 
         """
         self._take_out(robot)
-        self._void_starts[robot] = ''
+        self.void_starts[robot] = ''
         self.team.state.insert_robot(robot, stamp, pose, P)
         self.not_in_map.pop(robot, None)
 
     def leave(self, robot: str) -> None:
         """Marginalize a robot that leaves the team; its landmarks stay."""
         if any(robot in group.robots for group in self):
-            self._void_starts[robot] = ''
+            self.void_starts[robot] = ''
         self._take_out(robot)
         self.not_in_map.pop(robot, None)
 
@@ -235,7 +231,7 @@ class FrameGroups:
 
     def _initial_pose(self, robot: RobotSettings) -> tuple[Triple, Triple] | None:
         """Return the configured initial pose and its standard deviations, None if unknown."""
-        if robot.name in self._void_starts:
+        if robot.name in self.void_starts:
             return None
         if robot.name == self._settings.anchor:
             return self._settings.anchor_pose, self._settings.anchor_sigma
@@ -255,7 +251,7 @@ class FrameGroups:
         group = FrameGroup(self._new_filter(policy), robot)
         group.state.insert_robot(robot, stamp, np.zeros(3), np.zeros((3, 3)))
         self.others.append(group)
-        self.not_in_map[robot] = self._void_starts.get(robot) or (
+        self.not_in_map[robot] = self.void_starts.get(robot) or (
             'it has observed no landmark or robot since it began' if self.is_initialized
             else f'the anchor {self._settings.anchor} has observed no landmark')
 

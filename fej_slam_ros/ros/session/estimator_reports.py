@@ -232,12 +232,12 @@ class EstimatorLog(RunLog[Estimator]):
 
     def _note_start(self, robot: str, frame: str) -> None:
         if frame == MAP:
-            if not self._consumer.groups.uses_start(robot):
-                cause = 'its observations'
-            elif robot == self._consumer.settings.anchor:
-                cause = 'its anchor_pose'
-            else:
-                cause = 'its start_pose'
+            cause = 'its observations'
+            if robot not in self._consumer.groups.void_starts:
+                if robot == self._consumer.settings.anchor:
+                    cause = 'its anchor_pose'
+                elif self._consumer.robots[robot].start_pose is not None:
+                    cause = 'its start_pose'
             self.add(self._severity_of_joins([robot]), f'{robot} joined {frame}, by {cause}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')
