@@ -193,14 +193,17 @@ class Estimator(TeamInput[StepResult]):
             self.groups.begin(self.robots[name], step.stamp)
         for motion in step.motions:
             if not self._quarantine.restart_after(motion):
-                self.groups.of(motion.robot).filter.predict(motion)
+                group = self.groups.of(motion.robot)
+                self._pose_priors.advance(motion, group.robots[motion.robot].stamp)
+                group.filter.predict(motion)
+        for name in step.odometry:
             # Before the scans of the step, which the former pose would contradict.
-            if self._joiner.relocate(motion.robot, step.stamp):
-                self.innovations.lost_robots.reset(motion.robot)
+            if self._joiner.relocate(name, step.stamp):
+                self.innovations.lost_robots.reset(name)
         # Odometry alone relates nothing.
         associated = self._use_scans(step) if step.scans or step.robot_scans else ()
-        for motion in step.motions:
-            self._joiner.apply_pose_priors(motion.robot, step.stamp)
+        for name in step.odometry:
+            self._joiner.apply_pose_priors(name, step.stamp)
         return self._result(step, associated)
 
     def _use_scans(self, step: Step) -> list[Scan]:

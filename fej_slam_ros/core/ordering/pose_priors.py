@@ -3,10 +3,13 @@
 """Pose priors: initial poses that robots are given, until their next step."""
 
 from bisect import insort
+from dataclasses import replace
 
+from fej_slam_ros.core.models import composed_increment
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
+from fej_slam_ros.core.ordering.odometry_increments import split
 from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
-from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.core.records import Motion, PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 
 #: Maximum number of pose priors of a robot that wait for its next step; users send few.
@@ -35,6 +38,16 @@ class PosePriors:
         oldest = waiting.pop(0)
         reason = self._statistics.reject_record(oldest, RejectionReason.AFTER_ODOMETRY)
         return reason if oldest is prior else None
+
+    def advance(self, motion: Motion, begin: int) -> None:
+        """Move priors that were given during a motion, since its begin [ns], on to its end."""
+        waiting = self._waiting.get(motion.robot, [])
+        for k, prior in enumerate(waiting):
+            if begin < prior.stamp < motion.stamp:
+                share = (prior.stamp - begin) / (motion.stamp - begin)
+                _, (u, Q) = split(motion.u, motion.Q, share)
+                pose, P = composed_increment(prior.pose, prior.P, u, Q)
+                waiting[k] = replace(prior, pose=pose, P=P)
 
     def take(self, robot: str, stamp: int) -> list[PosePrior]:
         """Remove and return the priors of a robot up to a stamp [ns], oldest first."""

@@ -546,6 +546,25 @@ def test_an_anchor_that_is_placed_before_it_observes_a_landmark_defines_map_ther
     np.testing.assert_allclose(estimator.landmarks()[0].position, [5.0, 3.1], atol=1e-12)
 
 
+def test_a_pose_at_the_first_odometry_is_used_as_a_start_pose_is():
+    pose, sigma = (4.0, 1.0, 0.5), (0.3, 0.2, 0.1)
+    records = [
+        *(odometry(name, ms, (0.001 * ms, 0.0, 0.0))
+          for ms in range(0, 600, 100) for name in ('r1', 'r2')),
+        scan('r1', 0, [(1, (2.0, 0.0))]), scan('r2', 200, [(2, (1.0, 1.0))])]
+    given = PosePrior('r2', 0, np.array(pose), np.diag(np.square(sigma)))
+
+    _, placed = run(team('r1', 'r2'), given, *records)
+    _, started = run(team('r1', 'r2', known=[('r2', pose, sigma)]), *records)
+
+    for one, other in zip(placed, started, strict=True):
+        of_one, of_other = (
+            next(p for p in step.poses if p.robot == 'r2') for step in (one, other))
+        assert (of_one.frame, of_other.frame) == ('map', 'map')
+        np.testing.assert_allclose(of_one.pose, of_other.pose, atol=1e-12)
+        np.testing.assert_allclose(of_one.P, of_other.P, atol=1e-12)
+
+
 def row_of(count, first=0):
     """Return observations of landmarks in a row."""
     return [(number, (1.0 + number, 2.0)) for number in range(first, first + count)]

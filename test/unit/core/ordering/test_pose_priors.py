@@ -6,7 +6,7 @@ import numpy as np
 
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.pose_priors import MAX_WAITING_PRIORS, PosePriors
-from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.core.records import Motion, PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.records import MS
 
@@ -65,6 +65,26 @@ def test_the_oldest_prior_beyond_the_maximum_is_rejected():
 
     assert [r.stamp for r in statistics.rejections] == [MS, MS]
     assert priors.take('r1', 900 * MS)[0].stamp == 2 * MS
+
+
+def test_a_prior_within_a_motion_is_moved_on_by_the_rest_of_it():
+    priors, P = PosePriors(InputStatistics()), np.diag([1.0, 1.0, 0.1])
+    for ms in (0, 150, 200):
+        priors.add(PosePrior('r1', ms * MS, np.array([1.0, 2.0, np.pi / 2]), P))
+
+    priors.advance(
+        Motion('r1', 200 * MS, np.array([2.0, 0.0, 0.0]), np.diag([0.04, 0.01, 0.02])), begin=0)
+
+    earlier, within, at_end = priors.take('r1', 200 * MS)
+    # A quarter of the motion leads 0.5 m in the direction of y, by eq. (5) with -0.5 m in Phi; its
+    # noise is a quarter of Q, whose x is y of map.
+    np.testing.assert_allclose(within.pose, [1.0, 2.5, np.pi / 2], atol=1e-15)
+    np.testing.assert_allclose(
+        within.P, [[1.0275, 0.0, -0.05], [0.0, 1.01, 0.0], [-0.05, 0.0, 0.105]], atol=1e-15)
+    assert within.stamp == 150 * MS
+    for unmoved in earlier, at_end:
+        np.testing.assert_array_equal(unmoved.pose, [1.0, 2.0, np.pi / 2])
+        np.testing.assert_array_equal(unmoved.P, P)
 
 
 def test_priors_that_no_odometry_has_reached_are_rejected_at_the_end():
