@@ -328,7 +328,7 @@ and `y` are required. The simulator and the converters write:
 {_fields(_scan(1))}
 
 If `id` is -1 or missing, the landmark is unknown ([landmarks without IDs](data_association.md)).
-If the variances are missing or all zero, `landmark_sigma` is used.
+If one of `var_x`, `cov_xy` and `var_y` is missing, or all are zero, `landmark_sigma` is used.
 
 ## Fields of maps
 

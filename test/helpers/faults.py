@@ -162,6 +162,11 @@ def columns(**changed):
     return change
 
 
+def without_cov_xy(entry):
+    """Give the column cov_xy of a cloud another name."""
+    next(f for f in entry.message.fields if f.name == 'cov_xy').name = 'intensity'
+
+
 def floating_ids(entry):
     """Change the type of the IDs of a cloud to float32."""
     field = next(f for f in entry.message.fields if f.name == 'id')

@@ -16,7 +16,8 @@ from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
 from fej_slam_ros.ros.topic_types import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 
-CLOUD_FIELDS = ('x', 'y', 'id', 'var_x', 'cov_xy', 'var_y')
+COVARIANCE_FIELDS = {'var_x', 'cov_xy', 'var_y'}
+CLOUD_FIELDS = ('x', 'y', 'id', *sorted(COVARIANCE_FIELDS))
 
 
 @dataclass(slots=True)
@@ -118,6 +119,9 @@ class ObservationSeries(TopicSeries):
         else:
             columns = {}
         zero = np.zeros(size)
+        if not COVARIANCE_FIELDS <= columns.keys():
+            # A covariance is used with all its fields only.
+            columns['var_x'] = columns['var_y'] = zero
         x, y, var_x, var_y = (
             columns.get(name, zero).astype(float) for name in ('x', 'y', 'var_x', 'var_y'))
         with np.errstate(over='ignore', invalid='ignore'):

@@ -19,7 +19,7 @@ from helpers.faults import (
     at, BAGS, both, columns, crowded, delayed, each, entries, exchanged, floating_ids, framed,
     in_degrees, in_map, in_whole_seconds, kept, looped, moved, NS, of_type_pose, out_of_order,
     planted, positions, recorded_late, scaled, shifted, turned, twice, twist_covariance, with_pose,
-    with_poses, without)
+    with_poses, without, without_cov_xy)
 from helpers.ros import empty_cloud, raw_record, run_verb, write_bag, write_parameters
 from helpers.slow import slow
 
@@ -139,6 +139,9 @@ FAULTS = {
         R, each('p/landmarks', columns(**dict.fromkeys(
             ('var_x', 'cov_xy', 'var_y'), np.zeros_like))), None, 'unknown_covariance',
         'p/landmarks', 'landmark_sigma'),
+    'variances without cov_xy': (
+        R, each('p/landmarks', without_cov_xy), None, 'unknown_covariance', 'p/landmarks',
+        'landmark_sigma'),
     'odometry covariance huge': (
         C, each('r2/odom', twist_covariance(at(0, 1e6))), 1, 'absurd_covariance', 'r2/odom',
         'variances'),
