@@ -105,13 +105,16 @@ def _export_graph(bag: Path, settings: RunSettings, names: TopicNames, path: Pat
     for _ in session.close():
         pass
     team = session.team
-    graph = graph_of(team.task(), team.solution, {
+    task = team.task()
+    graph = graph_of(task, team.solution, {
         name: trajectory.stamps for name, trajectory in team.trajectories.items()})
     if not graph.names:
         raise UserError(NO_ODOMETRY)
     text = ''.join(f'{line}\n' for line in files.written(graph))
+    between_maps = len(task.measurements) - len(graph.robot_observations)
     return Exported(
-        [*_graph_report(graph), *_rejected(team.statistics, but=[RejectionReason.GATED])],
+        [*_graph_report(graph, between_maps),
+         *_rejected(team.statistics, but=[RejectionReason.GATED])],
         [*conversion.by_robot(graph.names)], {path: text.encode()})
 
 
@@ -160,7 +163,7 @@ def _is_before_time_0(record: Record) -> bool:
     return isinstance(record, Scan | RobotScan) and record.stamp < 0
 
 
-def _graph_report(graph: Graph) -> Iterator[str]:
+def _graph_report(graph: Graph, between_maps: int) -> Iterator[str]:
     poses = Counter(name.robot for name in graph.names.values())
     observations = Counter(graph.names[edge.begin].robot for edge in graph.observations)
     for robot, number in poses.items():
@@ -168,6 +171,10 @@ def _graph_report(graph: Graph) -> Iterator[str]:
     yield f'landmarks: {len(graph.points)}'
     if graph.robot_observations:
         yield f'robot-to-robot observations: {len(graph.robot_observations)}'
+    if between_maps:
+        yield (
+            'robot-to-robot observations between maps that are not joined, not exported:'
+            f' {between_maps}')
     yield f'chi-square of all edges at the estimates: {graph.chi_square():.6g}'
 
 

@@ -119,7 +119,7 @@ class ObservationSeries(TopicSeries):
         else:
             columns = {}
         zero = np.zeros(size)
-        if not COVARIANCE_FIELDS <= columns.keys():
+        if not columns.keys() >= COVARIANCE_FIELDS:
             # A covariance is used with all its fields only.
             columns['var_x'] = columns['var_y'] = zero
         x, y, var_x, var_y = (

@@ -17,7 +17,7 @@ from fej_slam_ros.ros.files import bags
 from fej_slam_ros.ros.session import simulation
 from helpers.optional import is_installed, optional
 from helpers.paths import BAGS
-from helpers.records import odometry, scan, without_ids
+from helpers.records import odometry, robot_scan, scan, without_ids
 from helpers.ros import (
     assert_one_sentence, csv_rows, raw_record, run_verb, write_bag, write_parameters)
 
@@ -288,6 +288,19 @@ def test_observations_that_a_graph_cannot_have_are_counted(tmp_path, capsys):
     assert status == 0
     assert 'r1: poses: 2, observations: 1\n' in (said := capsys.readouterr().out)
     assert 'r1: rejected as no_identity: 1\n' in said
+
+
+def test_observations_between_maps_that_are_not_joined_are_counted(tmp_path, capsys):
+    records = [odometry(name, ms) for ms in (0, 100) for name in ('r1', 'r2')]
+    bag = write_bag(tmp_path / 'bag', [
+        raw_record(record) for record in (*records, robot_scan('r1', 100, [('r2', (2, 1))]))])
+
+    status = run_verb(
+        'export', 'g2o', bag, '--params', write_parameters(tmp_path / 'p.yaml'),
+        '--output', tmp_path / 'graph.g2o')
+
+    assert status == 0
+    assert 'between maps that are not joined, not exported: 1\n' in capsys.readouterr().out
 
 
 @pytest.mark.usefixtures('interrupted_write')
