@@ -192,7 +192,7 @@ class EstimatorSettings(CommonSettings):
     start_covariance: str = parameter(
         'anchored', one_of('anchored', 'independent'),
         'anchored: poses started at step 0 are correlated with an uncertain anchor; independent:'
-        ' they are not')
+        ' they are not, as in [Liu], which is overconfident')
     match_probability: float = parameter(
         0.99, PROBABILITY,
         'probability with which a correct match of an observation without ID (-1) passes its'

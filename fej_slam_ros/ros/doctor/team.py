@@ -60,7 +60,7 @@ def check(survey: Survey, trial: Trial, settings: Settings) -> Iterator[Finding]
         yield from _not_joined(robot, survey, trial, settings)
     anchor = settings.anchor
     observes = any(len(scan) for scan in survey.observations(f'{anchor}/landmarks').ids)
-    if anchor and not observes and len(settings.robots) > 1:
+    if anchor and not observes and trial.estimator.groups.not_in_map:
         yield error(
             'blind_anchor', anchor, 'the anchor never observes a landmark',
             'choose another robot for the parameter anchor, or check its detector')

@@ -340,6 +340,14 @@ def test_a_fault_is_found_without_parameters(doctor, tmp_path, fault):
     assert has_finding(found, *expected)
 
 
+def test_an_anchor_that_joins_by_what_others_observe_of_it_is_not_blind(doctor, tmp_path):
+    path = planted(tmp_path / 'observed', without('p/landmarks p/robots')(entries(R)))
+
+    _, found, _ = doctor(path, '--params', BAGS / f'{R}.yaml')
+
+    assert {f['name'] for f in found} == {'no_landmarks'}
+
+
 def test_a_robot_that_is_lost_at_the_end_is_not_said_to_have_never_joined(doctor, tmp_path):
     fault = both(
         each('r2/odom', moved(30.0), begin=-10), without('r2/landmarks', slice(-10, None)))

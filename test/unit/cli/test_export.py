@@ -293,7 +293,8 @@ def test_observations_that_a_graph_cannot_have_are_counted(tmp_path, capsys):
 def test_observations_between_maps_that_are_not_joined_are_counted(tmp_path, capsys):
     records = [odometry(name, ms) for ms in (0, 100) for name in ('r1', 'r2')]
     bag = write_bag(tmp_path / 'bag', [
-        raw_record(record) for record in (*records, robot_scan('r1', 100, [('r2', (2, 1))]))])
+        raw_record(record, {'r1': 1, 'r2': 2})
+        for record in (*records, robot_scan('r1', 100, [('r2', (2, 1))]))])
 
     status = run_verb(
         'export', 'g2o', bag, '--params', write_parameters(tmp_path / 'p.yaml'),
