@@ -303,7 +303,7 @@ def _true_landmark(cells: Cells) -> tuple[int, Array]:
 
 def _point(cells: Cells) -> tuple[Array, Array]:
     """Return an observed position and covariance, zeros if unknown, as in scans."""
-    if 'range' in cells:
+    if 'range' in cells and 'x' not in cells:
         distance, bearing, *sigmas = finite_numbers(cells, POLAR)
         if abs(bearing) > 2.0 * math.pi:
             raise ValueError(f'bearing is {bearing:g} rad, more than a turn: is it in degrees?')

@@ -11,11 +11,11 @@ end of a relative pose, as g2o and GTSAM take it.
 
 from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from fej_slam_ros.cli.arguments import number_option
 from fej_slam_ros.cli.converters.common import add_paths, write
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import NS, Record, Scan
 from fej_slam_ros.datasets.g2o import conversion, files
 from fej_slam_ros.datasets.g2o.graph import Graph
 from fej_slam_ros.errors import UserError
@@ -50,15 +50,18 @@ def convert(arguments: Namespace) -> None:
     records = conversion.records(graph, team, unused)
     write(
         records, conversion.settings(graph, team), arguments,
-        _report(graph, team, period, unused))
+        _report(graph, team, period, unused, records))
 
 
 def _report(
-    graph: Graph, team: conversion.Trajectories, period: float, unused: Counter[str]
+    graph: Graph, team: conversion.Trajectories, period: float, unused: Counter[str],
+    records: Iterable[Record],
 ) -> Iterator[str]:
     landmarks = {edge.end for edge in graph.observations}
-    observations = Counter(
-        team.names[edge.begin].robot for edge in graph.observations if edge.begin in team.names)
+    observations: Counter[str] = Counter()
+    for record in records:
+        if isinstance(record, Scan):
+            observations[record.robot] += len(record.observations)
     yield f'robots: {len(team.poses)}, landmarks: {len(landmarks)}'
     if not graph.names and period != conversion.MIN_PERIOD:
         yield f'time between two poses: {period:g} s'

@@ -16,7 +16,8 @@ CURES: dict[Reason, tuple[str, str]] = {
     Reason.WRONG_FRAME: (
         'frame of another robot or sensor',
         ('set frame_id to {robot}/base_link, set {robot}.sensor_frame and {robot}.sensor_pose, or'
-         ' publish the mount of the sensor on /tf_static')),
+         ' publish the mount of the sensor on /tf_static (with tf_topics: robot, on'
+         ' /{robot}/tf_static)')),
     Reason.TILTED: (
         'tilt of more than 0.2 rad', 'give the pose in the plane: x ahead, z up (REP-103)'),
     Reason.BAD_QUATERNION: (

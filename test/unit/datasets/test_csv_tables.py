@@ -205,6 +205,14 @@ def test_polar_observations_become_cartesian(tmp_path):
     assert_allclose(observation.R, R, rtol=1e-15)
 
 
+def test_a_column_range_beside_x_and_y_is_ignored_as_other_columns_are(tmp_path):
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY,
+        landmarks=f'range,{LANDMARK_HEAD}9,a,5,4,1,2,.1,0,.2\n'), Counter())
+
+    assert_equal(records[1].observations[0].z, [1.0, 2.0])
+
+
 def test_records_are_in_the_order_of_stamps_with_true_landmarks_first(tmp_path):
     records = csv_tables.read(write(
         tmp_path, odometry='robot,stamp_ns,x,y,yaw\nb,7,0,0,0\na,9,0,0,0\na,3,0,0,0\n',

@@ -38,12 +38,14 @@ def convert(tmp_path, capsys):
 
 
 def test_robots_of_a_graph_join_and_map_together(convert, tmp_path):
-    status, said, error = convert([*TWO_ROBOTS, 'FIX 0', 'EDGE_SE2_PRIOR 0 1 2'])
+    repeated = TWO_ROBOTS[-1]
+    status, said, error = convert([*TWO_ROBOTS, repeated, 'FIX 0', 'EDGE_SE2_PRIOR 0 1 2'])
 
     assert (status, error) == (0, '')
     assert said == (
         'robots: 2, landmarks: 3\nr1: poses: 4, observations: 9\nr2: poses: 4, observations: 9\n'
-        f'not used: EDGE_SE2_PRIOR: 1\nwrote {tmp_path / "bag"} and {tmp_path / "bag"}.yaml\n')
+        'not used: EDGE_SE2_PRIOR: 1\nnot used: observation repeated: 1\n'
+        f'wrote {tmp_path / "bag"} and {tmp_path / "bag"}.yaml\n')
     state = run_bag(tmp_path / 'bag').estimator.groups.team.state
     # Rounding only: all measurements agree.
     assert state.estimate(state.robots['r2']) == pytest.approx([3.0, 2.0, 0.0], abs=1e-9)
