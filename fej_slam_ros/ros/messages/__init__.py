@@ -15,7 +15,7 @@ from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.ros.messages.definitions import OTHER_PACKAGES
-from fej_slam_ros.ros.messages.usual_cdr import read_cloud, read_odometry
+from fej_slam_ros.ros.messages.usual_cdr import decode_cloud, decode_odometry
 
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 for _name, _text in OTHER_PACKAGES.items():
@@ -25,7 +25,7 @@ _ENCAPSULATION = 4
 _STAMP = Struct('<iI')
 
 #: Faster deserialisers of the usual messages in the usual encoding.
-_READERS = {'nav_msgs/msg/Odometry': read_odometry, 'sensor_msgs/msg/PointCloud2': read_cloud}
+_DECODERS = {'nav_msgs/msg/Odometry': decode_odometry, 'sensor_msgs/msg/PointCloud2': decode_cloud}
 
 #: A message of rosbags' type store; ``__msgtype__`` is its type name.
 Message = Any
@@ -54,7 +54,7 @@ def serialize(message: Message) -> bytes:
 
 def deserialize(raw: bytes, type_name: str) -> Message:
     """Return the message in CDR bytes."""
-    message = _READERS[type_name](raw) if type_name in _READERS else None
+    message = _DECODERS[type_name](raw) if type_name in _DECODERS else None
     return _TYPES.deserialize_cdr(raw, type_name) if message is None else message
 
 

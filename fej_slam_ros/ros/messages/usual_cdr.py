@@ -37,7 +37,7 @@ MAX_LAYOUTS = 256
 MAX_LAYOUT_BYTES = 4096
 
 
-def read_odometry(raw: bytes) -> Odometry | None:
+def decode_odometry(raw: bytes) -> Odometry | None:
     """Return the message in CDR bytes, None if they must be read in the general way."""
     if raw[:4] != LITTLE_ENDIAN:
         return None
@@ -67,7 +67,7 @@ def read_odometry(raw: bytes) -> Odometry | None:
             np.frombuffer(raw, '<f8', _COVARIANCE, end - 8 * _COVARIANCE)))
 
 
-def read_cloud(raw: bytes) -> PointCloud2 | None:
+def decode_cloud(raw: bytes) -> PointCloud2 | None:
     """Return the message in CDR bytes, None if they must be read in the general way."""
     if raw[:4] != LITTLE_ENDIAN:
         return None

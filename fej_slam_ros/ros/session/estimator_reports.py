@@ -195,7 +195,6 @@ class EstimatorLog(RunLog[Estimator]):
                 f' observes its first landmark, in {MAP}: {", ".join(groups.team.robots)}'))
 
     def _note_restarts(self, stamp: int) -> list[str]:
-        """Add the lines of the robots that have restarted, and return these."""
         relocalized = self._consumer.statistics.relocalized
         restarted = [
             name for name in relocalized if relocalized[name] > self._relocalized[name]]

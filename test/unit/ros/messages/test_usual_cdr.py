@@ -33,7 +33,7 @@ def odometry_sample(frame='r1/odom', child='r1/base_link', seed=1):
 def test_every_field_of_odometry_is_read_whatever_the_length_of_the_frames(frame, child):
     raw = serialize(odometry_sample(frame, child))
 
-    read = usual_cdr.read_odometry(raw)
+    read = usual_cdr.decode_odometry(raw)
 
     # Serialised by rosbags, it has the same bytes again.
     assert bytes(TYPES.serialize_cdr(read, ODOMETRY_TYPE)) == raw
@@ -45,18 +45,18 @@ def test_odometry_in_the_other_byte_order_is_read_in_the_general_way():
 
     raw = bytes(TYPES.serialize_cdr(sample, ODOMETRY_TYPE, little_endian=False))
 
-    assert usual_cdr.read_odometry(raw) is None
+    assert usual_cdr.decode_odometry(raw) is None
     assert decoded(raw, ODOMETRY_TYPE).twist.twist.angular.z == sample.twist.twist.angular.z
 
 
 def test_no_truncated_or_damaged_odometry_is_taken_for_a_whole_one():
     raw = serialize(odometry_sample())
 
-    assert all(usual_cdr.read_odometry(raw[:size]) is None for size in range(len(raw)))
+    assert all(usual_cdr.decode_odometry(raw[:size]) is None for size in range(len(raw)))
     assert all(decoded(raw[:size], ODOMETRY_TYPE) is None for size in range(len(raw)))
     # Lengths of the two frames that reach beyond the message, and frames without an end.
     for at, damage in ((12, b'\xff' * 4), (24, b'\xff' * 4), (23, b'x'), (40, b'x')):
-        assert usual_cdr.read_odometry(raw[:at] + damage + raw[at + len(damage):]) is None
+        assert usual_cdr.decode_odometry(raw[:at] + damage + raw[at + len(damage):]) is None
 
 
 def cloud_sample(frame='r1/camera', names=('x', 'y', 'id'), order='<', is_dense=True):
@@ -76,7 +76,7 @@ def test_every_field_of_a_cloud_is_read_whatever_the_length_of_the_names(frame, 
     for order, is_dense in (('<', True), ('>', False)):
         raw = serialize(cloud_sample(frame, names, order, is_dense))
 
-        read = usual_cdr.read_cloud(raw)
+        read = usual_cdr.decode_cloud(raw)
 
         # Serialised by rosbags, it has the same bytes again.
         assert bytes(TYPES.serialize_cdr(read, CLOUD_TYPE)) == raw
@@ -87,14 +87,14 @@ def test_every_field_of_a_cloud_is_read_whatever_the_length_of_the_names(frame, 
 def test_a_cloud_in_the_other_byte_order_is_read_in_the_general_way():
     raw = bytes(TYPES.serialize_cdr(cloud_sample(), CLOUD_TYPE, little_endian=False))
 
-    assert usual_cdr.read_cloud(raw) is None
+    assert usual_cdr.decode_cloud(raw) is None
     assert decoded(raw, CLOUD_TYPE).width == 3
 
 
 def test_no_truncated_or_damaged_cloud_is_taken_for_a_whole_one():
     raw = serialize(cloud_sample())
 
-    assert all(usual_cdr.read_cloud(raw[:size]) is None for size in range(len(raw)))
+    assert all(usual_cdr.decode_cloud(raw[:size]) is None for size in range(len(raw)))
     assert all(decoded(raw[:size], CLOUD_TYPE) is None for size in range(len(raw)))
     # Lengths of the frame, of the first name and of the data that reach beyond the message, more
     # fields than there are, and a frame and a name without an end.
@@ -103,12 +103,12 @@ def test_no_truncated_or_damaged_cloud_is_taken_for_a_whole_one():
             (12, b'\xff' * 4), (first_name - 4, b'\xff' * 4), (data, b'\xff' * 4),
             (first_name - 8, b'\xff' * 4), (25, b'x'), (first_name + 1, b'x')):
         assert raw[at:at + len(damage)] != damage
-        assert usual_cdr.read_cloud(raw[:at] + damage + raw[at + len(damage):]) is None
+        assert usual_cdr.decode_cloud(raw[:at] + damage + raw[at + len(damage):]) is None
 
 
 def test_clouds_share_no_list_of_fields():
     raw = serialize(cloud_sample())
 
-    usual_cdr.read_cloud(raw).fields.clear()
+    usual_cdr.decode_cloud(raw).fields.clear()
 
-    assert len(usual_cdr.read_cloud(raw).fields) == 3
+    assert len(usual_cdr.decode_cloud(raw).fields) == 3
