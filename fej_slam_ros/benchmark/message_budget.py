@@ -102,9 +102,8 @@ class _Stopwatch:
 def message_budget(robots: int, landmarks: int, seconds: int) -> MessageBudget:
     """Run a team for some seconds of its data; the times are those of the second half."""
     load = Load(robots, BUDGET_RATE, landmarks=landmarks, seconds=seconds)
-    session = EstimatorSession(
-        parameters.parse(load.parameters()), None, is_wanted=lambda _: False,
-        outputs=LiveOutputs)
+    session = EstimatorSession(parameters.parse(load.parameters()), None, outputs=LiveOutputs)
+    session.outputs.is_wanted = lambda topic: False
     messages = [*load.messages()]
     for message in messages[:len(messages) // 2]:
         session.receive(message)

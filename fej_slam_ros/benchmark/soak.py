@@ -55,7 +55,7 @@ def soak(minutes: int) -> list[SoakMinute]:
         times += _step_times(run)
         if now < due:
             continue
-        maps = run.outputs.maps_and_paths(lambda _: True)
+        maps = run.outputs.maps_and_paths()
         for _, output in [*maps, run.diagnostics.report(now, False)]:
             serialize(output)
         due += NS

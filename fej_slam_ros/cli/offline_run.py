@@ -109,7 +109,7 @@ class BagSink(Sink[SessionT]):
             self._bag.write(name, self.log_time(topic, message), message)
 
     def _write_overview(self, session: SessionT, at_rest: bool) -> None:
-        self.write(session.outputs.maps_and_paths(lambda topic: True))
+        self.write(session.outputs.maps_and_paths())
         self.write([session.diagnostics.report(self.now, at_rest)])
 
 

@@ -55,8 +55,7 @@ class EstimatorNode(SessionNode):
         # A reset needs no file that may be gone.
         prior = self._session.prior if self._has_session else None
         session = EstimatorSession(
-            settings, folder, is_wanted=self._topics.is_wanted, outputs=LiveOutputs,
-            open_files=self._files.open, prior=prior)
+            settings, folder, outputs=LiveOutputs, open_files=self._files.open, prior=prior)
         session.check_starts(self._topics.first_messages)
         return session
 

@@ -28,7 +28,7 @@ class MapPublisher:
     def renew(self, outputs: Outputs[Any]) -> None:
         """Let the present maps and paths wait; earlier ones are published completely first."""
         if not self.publish_next():
-            self._pending = outputs.maps_and_paths(self._topics.is_wanted)
+            self._pending = outputs.maps_and_paths()
 
     def publish_next(self) -> bool:
         """Publish one that waits; return whether there was any, and time for it."""
@@ -36,7 +36,7 @@ class MapPublisher:
 
     def publish_all(self, outputs: Outputs[Any]) -> None:
         """Publish the present maps and paths at once."""
-        self._topics.publish(outputs.maps_and_paths(self._topics.is_wanted))
+        self._topics.publish(outputs.maps_and_paths())
 
     def drop(self) -> None:
         """Drop those that wait, of a team or a run that has ended."""

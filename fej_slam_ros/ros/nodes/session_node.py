@@ -243,6 +243,7 @@ class SessionNode(SettingsNode):
                     f' use the given ones, remove {settings.node.restore} before the start')
         self._session.diagnostics.node_name = self.get_fully_qualified_name().lstrip('/')
         self._session.log.topic_name = self.resolve_topic_name
+        self._session.outputs.is_wanted = self._topics.is_wanted
         self._maps.drop()
         self._pause.rest()
 

@@ -12,8 +12,7 @@ from fej_slam_ros.ros.messages import outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.published_maps import estimator_maps, MapEstimate
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import (
-    IsWanted, MAX_PATH, Outputs, Publication, StampedPoses)
+from fej_slam_ros.ros.session.outputs import MAX_PATH, Outputs, Publication, StampedPoses
 from fej_slam_ros.ros.topic_types import (
     JOINT_COVARIANCE_TOPIC, POSE_WITH_COVARIANCE, relative_topic)
 
@@ -57,7 +56,7 @@ class EstimatorOutputs(Outputs[Estimator]):
         self._paths.pop(robot, None)
         self._latest.pop(robot, None)
 
-    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+    def of_step(self, result: StepResult) -> Iterator[Publication]:
         """Yield the messages of a step: the poses always, others if their topics are wanted."""
         for estimate in result.poses:
             self._append(estimate)
@@ -69,17 +68,17 @@ class EstimatorOutputs(Outputs[Estimator]):
                     yield relative_topic(*pair), outgoing.relative_pose(
                         relative, self._frames.base(relative.observer),
                         self.settings.unused_variance)
-        yield from self._step_transforms(result, is_wanted)
-        if result.joined and is_wanted(JOINT_COVARIANCE_TOPIC):
+        yield from self._step_transforms(result)
+        if result.joined and self.is_wanted(JOINT_COVARIANCE_TOPIC):
             yield JOINT_COVARIANCE_TOPIC, outgoing.joint_covariance(
                 result.joined, self._consumer.joint_covariance())
 
-    def predictions(self, is_wanted: IsWanted) -> Iterable[Publication]:
+    def predictions(self) -> Iterable[Publication]:
         """Return the messages of predicted poses, which only a live run has."""
         return ()
 
-    def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
-        return self._transforms(result.poses, result.odometry, is_wanted)
+    def _step_transforms(self, result: StepResult) -> Iterator[Publication]:
+        return self._transforms(result.poses, result.odometry)
 
     def _append(self, estimate: PoseEstimate) -> None:
         path = self._paths.get(estimate.robot)
@@ -101,6 +100,6 @@ class EstimatorOutputs(Outputs[Estimator]):
 class NoOutputs(EstimatorOutputs):
     """Of a run whose results only go to files."""
 
-    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+    def of_step(self, result: StepResult) -> Iterator[Publication]:
         """Return no message."""
         return iter(())

@@ -25,7 +25,7 @@ from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.estimator_reports import EstimatorDiagnostics, EstimatorLog
 from fej_slam_ros.ros.session.inputs import Inputs, restored_inputs
 from fej_slam_ros.ros.session.late_starts import LateStarts, MissedMessages
-from fej_slam_ros.ros.session.outputs import IsWanted, Publication, rejections
+from fej_slam_ros.ros.session.outputs import Publication, rejections
 from fej_slam_ros.ros.session.session import FilesOpener, Session
 
 
@@ -36,7 +36,6 @@ class EstimatorSession(Session):
     Parameters
     ----------
     settings, folder, force, open_files : as for every `Session`
-    is_wanted : whether a topic has subscribers
     outputs : class of the outputs, which decides what is published
     prior : prior map that was read before; None: it is read if the settings name one
 
@@ -53,10 +52,9 @@ class EstimatorSession(Session):
 
     def __init__(
         self, settings: RunSettings, folder: Path | None, force: bool | None = None,
-        is_wanted: IsWanted = lambda _: True, outputs: type[EstimatorOutputs] = EstimatorOutputs,
-        open_files: FilesOpener = RunFiles, prior: PriorMap | None = None,
+        outputs: type[EstimatorOutputs] = EstimatorOutputs, open_files: FilesOpener = RunFiles,
+        prior: PriorMap | None = None,
     ) -> None:
-        self._is_wanted = is_wanted
         self.settings = settings
         self.prior = prior or prior_map(settings)
         self.is_restored = checkpoint.is_to_restore(settings.node)
@@ -79,7 +77,7 @@ class EstimatorSession(Session):
 
     def receive(self, message: RawMessage) -> Iterable[Publication]:
         super().receive(message)
-        return self.outputs.predictions(self._is_wanted)
+        return self.outputs.predictions()
 
     def write_files(self) -> dict[str, Any]:
         content = {
@@ -166,11 +164,11 @@ class EstimatorSession(Session):
             if self._files is not None:
                 self._files.write(result.poses)
             self.log.add_step(result)
-            yield from self.outputs.of_step(result, self._is_wanted)
+            yield from self.outputs.of_step(result)
             end = perf_counter()
             self.diagnostics.step_times.append(end - begin)
             begin = end
         self.log.add_rejections(self.estimator.statistics.rejections)
         yield from rejections(self.estimator.statistics)
         # Odometry that came before the first step of its robot.
-        yield from self.outputs.predictions(self._is_wanted)
+        yield from self.outputs.predictions()

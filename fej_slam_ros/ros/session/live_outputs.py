@@ -13,7 +13,7 @@ from fej_slam_ros.ros.messages import Message, outgoing
 from fej_slam_ros.ros.parameters import NodeSettings
 from fej_slam_ros.ros.session.estimator_outputs import EstimatorOutputs
 from fej_slam_ros.ros.session.inputs import Inputs
-from fej_slam_ros.ros.session.outputs import IsWanted, Publication
+from fej_slam_ros.ros.session.outputs import Publication
 from fej_slam_ros.ros.topic_types import PREDICTED_TYPES
 
 
@@ -45,40 +45,39 @@ class LiveOutputs(EstimatorOutputs):
         self._predictors.pop(robot, None)
         self._newest_odometry.pop(robot, None)
 
-    def of_step(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+    def of_step(self, result: StepResult) -> Iterator[Publication]:
         """Yield the messages of a step, and predict from its poses from now on."""
         for settled in result.poses:
             self._predictors[settled.robot].settle(settled, result.odometry[settled.robot])
-        yield from super().of_step(result, is_wanted)
+        yield from super().of_step(result)
 
-    def predictions(self, is_wanted: IsWanted) -> Iterator[Publication]:
+    def predictions(self) -> Iterator[Publication]:
         """Yield the messages of the newest odometry of each robot, once and if it is wanted."""
         for name in [*self._newest_odometry]:
             topics = [*(f'{name}/{kind}' for kind in PREDICTED_TYPES), *self._tf_topics(name)]
-            if not any(map(is_wanted, topics)):
+            if not any(map(self.is_wanted, topics)):
                 del self._newest_odometry[name]
                 continue
             predicted = self._predictors[name].predict(self._consumer.robots[name])
             if predicted:
-                yield from self._messages(
-                    predicted, *self._newest_odometry.pop(name), is_wanted)
+                yield from self._messages(predicted, *self._newest_odometry.pop(name))
 
     def _add(self, record: Odometry, message: Message) -> None:
         if self._predictors[record.robot].add(record):
             self._newest_odometry[record.robot] = record, message
 
     def _messages(
-        self, predicted: PoseEstimate, record: Odometry, message: Message, is_wanted: IsWanted
+        self, predicted: PoseEstimate, record: Odometry, message: Message
     ) -> Iterator[Publication]:
-        if is_wanted(f'{record.robot}/predicted_pose'):
+        if self.is_wanted(f'{record.robot}/predicted_pose'):
             yield self.of_pose(predicted, 'predicted_pose')
         topic = f'{record.robot}/odometry/filtered'
-        if is_wanted(topic):
+        if self.is_wanted(topic):
             yield topic, outgoing.fused_odometry(
                 self._frames.renamed(predicted), self._frames.base(record.robot), message,
                 self.settings.unused_variance)
         yield from self._transforms(
-            [predicted], {record.robot: record.pose}, is_wanted, self._post_date())
+            [predicted], {record.robot: record.pose}, self._post_date())
 
-    def _step_transforms(self, result: StepResult, is_wanted: IsWanted) -> Iterator[Publication]:
+    def _step_transforms(self, result: StepResult) -> Iterator[Publication]:
         return iter(())

@@ -42,6 +42,7 @@ class Outputs(ABC, Generic[ConsumerT]):
     Attributes
     ----------
     settings : of the node at present
+    is_wanted : returns whether a topic has subscribers; without a node, all count as wanted
 
     """
 
@@ -55,6 +56,7 @@ class Outputs(ABC, Generic[ConsumerT]):
         self._consumer = consumer
         self._frames = inputs.frames
         self.settings = settings
+        self.is_wanted: IsWanted = lambda topic: True
         self._publishes_tf = publishes_tf
         # Frames of which a map was published.
         self._mapped: set[str] = set()
@@ -72,11 +74,11 @@ class Outputs(ABC, Generic[ConsumerT]):
         return f'{estimate.robot}/{kind}', outgoing.pose(
             self._frames.renamed(estimate), self.settings.unused_variance)
 
-    def maps_and_paths(self, is_wanted: IsWanted) -> Iterator[Publication]:
+    def maps_and_paths(self) -> Iterator[Publication]:
         """Yield maps, and paths and markers if their topics are wanted; not for every step."""
         # The caller may process steps between two messages.
         for name, newest in [*self._newest().items()]:
-            if is_wanted(f'{name}/path'):
+            if self.is_wanted(f'{name}/path'):
                 path = thinned(self._path(name), MAX_PATH)
                 yield f'{name}/path', outgoing.path(
                     self._frames.published(newest.frame), path)
@@ -91,7 +93,7 @@ class Outputs(ABC, Generic[ConsumerT]):
                 yield topics[map_estimate.frame], outgoing.landmarks(
                     stamp, self._frames.published(map_estimate.frame), map_estimate.ids,
                     map_estimate.points, map_estimate.P)
-        if is_wanted(MARKERS_TOPIC):
+        if self.is_wanted(MARKERS_TOPIC):
             drawn = self._newest()
             yield MARKERS_TOPIC, markers.markers(
                 stamp,
@@ -116,8 +118,7 @@ class Outputs(ABC, Generic[ConsumerT]):
             own_frame(name): f'{name}/map_landmarks' for name in self._consumer.robots}
 
     def _transforms(
-        self, estimates: Sequence[PoseEstimate], odometry: Mapping[str, Array],
-        is_wanted: IsWanted = lambda _: True, post_date: int = 0,
+        self, estimates: Sequence[PoseEstimate], odometry: Mapping[str, Array], post_date: int = 0
     ) -> Iterator[Publication]:
         """Yield the transforms of estimates and the odometry poses at their stamps."""
         by_topic: dict[str, list[PoseEstimate]] = {}
@@ -128,7 +129,7 @@ class Outputs(ABC, Generic[ConsumerT]):
             return
         frames = {robot: self._frames.odometry(robot) for robot in odometry}
         for topic, of_topic in by_topic.items():
-            if is_wanted(topic):
+            if self.is_wanted(topic):
                 yield topic, outgoing.transforms(of_topic, odometry, frames, post_date)
 
     def _tf_topics(self, robot: str) -> list[str]:

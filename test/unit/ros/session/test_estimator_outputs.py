@@ -27,9 +27,9 @@ def driven(records, **options):
     return run, published
 
 
-def overview(run, is_wanted=lambda _: True):
+def overview(run):
     """Return the overview of a run, one message a topic."""
-    published = list(run.outputs.maps_and_paths(is_wanted))
+    published = list(run.outputs.maps_and_paths())
     assert max(Counter(topic for topic, _ in published).values()) == 1
     return {topic: through_cdr(message) for topic, message in published}
 
@@ -192,8 +192,9 @@ def test_the_own_map_of_a_robot_that_has_joined_is_emptied_once_for_late_subscri
 
 def test_only_large_messages_without_subscribers_are_left_out():
     run, _ = driven(meeting())
+    run.outputs.is_wanted = lambda topic: topic == 'r2/path'
 
-    assert set(overview(run, lambda topic: topic == 'r2/path')) == {'r2/path', '~/landmarks'}
+    assert set(overview(run)) == {'r2/path', '~/landmarks'}
 
 
 def test_maps_have_the_stamp_of_the_newest_pose():
@@ -205,14 +206,14 @@ def test_maps_have_the_stamp_of_the_newest_pose():
 def test_before_the_first_step_no_map_is_published():
     outputs = EstimatorSession(run_settings(), None).outputs
 
-    assert list(outputs.maps_and_paths(lambda _: True)) == []
+    assert list(outputs.maps_and_paths()) == []
 
 
 def test_every_publication_is_listed_in_topics_with_its_type():
     run = EstimatorSession(run_settings(), None)
     published = drive(run, map(raw_record, [*meeting(), scan('r1', 400, [(1, (-9.0, 3.0))])]))
 
-    for topic, message in [*published, *run.outputs.maps_and_paths(lambda _: True)]:
+    for topic, message in [*published, *run.outputs.maps_and_paths()]:
         assert run.outputs.topics[topic] == message.__msgtype__
 
 

@@ -55,7 +55,7 @@ def test_added_robots_get_files_and_removed_robots_keep_theirs(run, tmp_path):
 def test_a_path_ends_with_its_robot(run):
     run.change_team(['r1'])
 
-    topics = {topic for topic, _ in run.outputs.maps_and_paths(lambda _: True)}
+    topics = {topic for topic, _ in run.outputs.maps_and_paths()}
 
     assert 'r1/path' in topics
     assert not any(topic.startswith('r2/') for topic in topics)

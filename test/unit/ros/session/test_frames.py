@@ -46,7 +46,7 @@ def published(messages=None, live=False, **values):
     for message in messages:
         for topic, content in [*run.receive(message), *run.take()]:
             found.setdefault(topic, []).append(content)
-    for topic, content in [*run.close(), *run.outputs.maps_and_paths(lambda _: True)]:
+    for topic, content in [*run.close(), *run.outputs.maps_and_paths()]:
         found.setdefault(topic, []).append(content)
     return run, found
 
@@ -218,7 +218,7 @@ def test_the_smoother_names_its_maps_likewise():
     found = drive(run, map(raw_record, meeting()))
 
     assert {m.header.frame_id for topic, m in found if topic == 'r2/base_node'} == {'world'}
-    assert {m.header.frame_id for t, m in run.outputs.maps_and_paths(lambda _: True)
+    assert {m.header.frame_id for t, m in run.outputs.maps_and_paths()
             if t == '~/landmarks'} == {'world'}
 
 

@@ -24,9 +24,11 @@ def stamp_of(message):
     return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
 
 
-def live(*names, is_wanted=lambda _: True, **changes):
+def live(*names, is_wanted=lambda topic: True, **changes):
     settings = run_settings(*names, **changes)
-    return EstimatorSession(settings, None, is_wanted=is_wanted, outputs=LiveOutputs)
+    run = EstimatorSession(settings, None, outputs=LiveOutputs)
+    run.outputs.is_wanted = is_wanted
+    return run
 
 
 def received(run, messages):

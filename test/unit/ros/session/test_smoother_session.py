@@ -30,7 +30,7 @@ def driven(messages, **settings):
 
 
 def overview(run):
-    return dict(run.outputs.maps_and_paths(lambda _: True))
+    return dict(run.outputs.maps_and_paths())
 
 
 def levels(run):
@@ -272,7 +272,7 @@ def test_a_robot_that_cannot_be_smoothed_is_an_error():
 
 def test_every_publication_is_listed_in_topics():
     run, published = driven(MEETING)
-    published += [*run.adopt(solve(run.team.task())), *run.outputs.maps_and_paths(lambda _: True)]
+    published += [*run.adopt(solve(run.team.task())), *run.outputs.maps_and_paths()]
 
     assert {topic for topic, _ in published} < run.outputs.topics.keys()
 
