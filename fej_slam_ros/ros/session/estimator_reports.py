@@ -231,15 +231,22 @@ class EstimatorLog(RunLog[Estimator]):
 
     def _note_start(self, robot: str, frame: str) -> None:
         if frame == MAP:
-            cause = 'its observations'
-            if robot not in self._consumer.groups.void_starts:
-                if robot == self._consumer.settings.anchor:
-                    cause = 'its anchor_pose'
-                elif self._consumer.robots[robot].start_pose is not None:
-                    cause = 'its start_pose'
-            self.add(self._severity_of_joins([robot]), f'{robot} joined {frame}, by {cause}')
+            self.add(
+                self._severity_of_joins([robot]),
+                f'{robot} joined {frame}, by {self._cause_of_start(robot)}')
         else:
             self.add(LogSeverity.DEBUG, f'{robot} starts in {frame}')
+
+    def _cause_of_start(self, robot: str) -> str:
+        """Return by what a robot has begun in ``map``."""
+        if robot in self._inputs.health.pose_priors:
+            return 'set_pose'
+        if robot not in self._consumer.groups.void_starts:
+            if robot == self._consumer.settings.anchor:
+                return 'its anchor_pose'
+            if self._consumer.robots[robot].start_pose is not None:
+                return 'its start_pose'
+        return 'its observations'
 
     def _severity_of_joins(self, robots: Sequence[str]) -> LogSeverity:
         are_often = all(self._restarts_often.get(robot, False) for robot in robots)

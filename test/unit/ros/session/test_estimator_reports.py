@@ -349,6 +349,12 @@ def test_a_known_start_is_the_cause():
     assert 'r2 joined map, by its start_pose' in lines_of(meeting(), known=known)
 
 
+def test_a_pose_at_the_first_odometry_is_the_cause():
+    placed = PosePrior('r2', 0, np.array([1.0, -3.0, 0.0]), 0.01 * np.eye(3))
+
+    assert 'r2 joined map, by set_pose' in lines_of([placed, *meeting()])
+
+
 def test_a_start_that_a_robot_no_longer_uses_when_it_comes_back_is_not_the_cause():
     known = [('r2', (1.0, -3.0, 0.0), (0.1, 0.1, 0.1))]
     run = EstimatorSession(run_settings(known=known), None)
