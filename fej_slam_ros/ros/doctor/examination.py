@@ -162,6 +162,8 @@ def _check_messages(
             topic = f'{robot.name}/{kind}'
             yield from observations.check(
                 topic, survey.observations(topic), not trial.estimator.groups.not_in_map)
+            if kind == 'landmarks' and estimation.filter == 'fej':
+                yield from observations.check_first_estimates(topic, survey.observations(topic))
     yield from rejections.check(survey, trial, estimation)
     yield from team.check(survey, trial, estimation)
     if trial.failure is None:

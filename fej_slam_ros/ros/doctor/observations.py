@@ -17,6 +17,9 @@ MAX_MEDIAN_RANGE = 250.0
 MIN_OBSERVATION_SIGMA = 1e-4
 #: Upper bound of a standard deviation, relative to the median range; above it carries no data.
 MAX_RELATIVE_SIGMA = 3.0
+#: Upper bound of the standard deviation of half of the observations, relative to their ranges; above
+#: it Jacobians at first estimates are wrong.
+MAX_FIRST_SIGMA = 0.3
 #: Minimum number of IDs, each in one scan only, to report; a short run may observe fewer once.
 MIN_SINGLE_IDS = 10
 
@@ -39,6 +42,21 @@ def check(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Fi
             'give x (ahead) and y (left) in metres, in the frame of the robot and not in map',
             len(ranges))
     yield from _covariances(where, np.concatenate(topic.variances), median_range)
+
+
+def check_first_estimates(where: str, topic: ObservationSeries) -> Iterator[Finding]:
+    """Yield that observations are too coarse for a filter with Jacobians at first estimates."""
+    if not topic.ranges:
+        return
+    ranges, variances = np.concatenate(topic.ranges), np.concatenate(topic.variances)
+    is_known = np.isfinite(ranges) & (ranges > 0.0) & (variances > 0.0).all(axis=1)
+    relative = np.sqrt(variances[is_known].sum(axis=1)) / ranges[is_known]
+    if len(relative) and (median := float(np.median(relative))) > MAX_FIRST_SIGMA:
+        yield warning(
+            'coarse_observations', where,
+            f'half of {len(relative)} observations have a standard deviation of {median:.0%} of'
+            ' their range or more, and so do first estimates of landmarks, where fej linearises',
+            'set filter: invariant', len(relative))
 
 
 def _ids(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Finding]:

@@ -142,6 +142,10 @@ FAULTS = {
     'variances without cov_xy': (
         R, each('p/landmarks', without_cov_xy), None, 'unknown_covariance', 'p/landmarks',
         'landmark_sigma'),
+    'coarse observations': (
+        C, each('r1/landmarks', columns(**dict.fromkeys(
+            ('var_x', 'cov_xy', 'var_y'), lambda v: 64 * v))), None, 'coarse_observations',
+        'r1/landmarks', 'invariant'),
     'odometry covariance huge': (
         C, each('r2/odom', twist_covariance(at(0, 1e6))), 1, 'absurd_covariance', 'r2/odom',
         'variances'),
