@@ -17,8 +17,8 @@ MAX_MEDIAN_RANGE = 250.0
 MIN_OBSERVATION_SIGMA = 1e-4
 #: Upper bound of a standard deviation, relative to the median range; above it carries no data.
 MAX_RELATIVE_SIGMA = 3.0
-#: Upper bound of the standard deviation of half of the observations, relative to their ranges; above
-#: it Jacobians at first estimates are wrong.
+#: Upper bound of the standard deviation of half of the observations, relative to their ranges;
+#: above it Jacobians at first estimates are wrong.
 MAX_FIRST_SIGMA = 0.3
 #: Minimum number of IDs, each in one scan only, to report; a short run may observe fewer once.
 MIN_SINGLE_IDS = 10
