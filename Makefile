@@ -57,6 +57,7 @@ lint: $(TEST_STAMP)  ## style, types and the import rule
 
 clean:  ## remove what the other targets and colcon made
 	rm -rf $(VENV) $(VENV)-oldest build install log demo*_output reproduced *.egg-info
+	rm -f fej_slam_ros/core/ekf/_kernel*.so
 	rm -rf .hypothesis .mypy_cache .pytest_cache .ruff_cache
 	find . -name __pycache__ -prune -exec rm -rf {} +
 

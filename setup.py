@@ -46,7 +46,7 @@ setup(
     ext_modules=extensions,
     package_data={
         NAME: [
-            'py.typed', 'benchmark/ceres_batch.cpp', 'benchmark/mrpt_ekf.cpp',
+            'py.typed', 'core/ekf/_kernel.pyi', 'benchmark/ceres_batch.cpp', 'benchmark/mrpt_ekf.cpp',
             'experiments/liu/published.json']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from functools import partial
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -94,6 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
         require_matplotlib('leave out --picture')
     if arguments.data is not None:
         associated_log.find(arguments.data)  # Says at once that it is not there.
+    if arguments.live is not None:
+        import_module('fej_slam_ros.benchmark.live_load')  # Says at once that ROS is missing.
     with claimed(arguments.output, arguments.force), claimed(arguments.picture, arguments.force):
         return _benchmark(arguments)
 

@@ -106,7 +106,8 @@ def _calibrate(arguments: argparse.Namespace) -> int:
             f'{arguments.bag} has no valid odometry: replay it to see the rejection reasons')
     found = calibrated(arguments, values, collector.records)
     corrected = found.values
-    if corrected == values:
+    if corrected == values and not any(
+            is_known(found.estimates, kind) for kind in found.estimates):
         raise UserError(
             f'{arguments.bag} has too little data to calibrate any noise: record a longer run,'
             ' with ground truth or with more observations of the same landmarks')

@@ -50,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.system != (arguments.bag is None) or arguments.delete_stale > arguments.system:
         raise UsageError('give either BAG, or --system with or without --delete-stale')
     if arguments.system:
+        if arguments.params or arguments.json or arguments.remap or arguments.namespace:
+            raise UsageError('--params, --json, --remap and --namespace are for a BAG')
         return _check_system(arguments.delete_stale)
     with claimed(arguments.json, arguments.force):
         return _examine(arguments)

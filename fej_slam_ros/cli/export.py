@@ -9,7 +9,7 @@ beside the output are those to run the exported data with: what was applied to t
 
 from argparse import ArgumentParser, Namespace
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -124,15 +124,17 @@ def _export_tables(
     """Write odometry, observations, pose priors and ground truth as tables."""
     messages = team_messages(bag, settings.estimation, names)
     collector = collect(messages, settings, needs_ids=False)
+    early: Counter[str] = Counter()
     left_out: Counter[str] = Counter()
-    records = [*_with_odometry(
-        [record for record, _ in collector.records if not _is_before_time_0(record)], left_out)]
+    since = [*_since_time_0((record for record, _ in collector.records), early)]
+    records = [*_with_odometry(since, left_out)]
     if not any(isinstance(record, Odometry) for record in records):
         raise UserError(NO_ODOMETRY)
     tables = csv_tables.tables(records)
     report = [
         *(f'{name}: {len(rows) - 1} rows' for name, rows in tables.items()),
         *_rejected(collector.statistics),
+        *(f'{robot}: scans before time 0, not exported: {n}' for robot, n in early.items()),
         *(f'{robot}: without odometry, not exported: {n}' for robot, n in left_out.items())]
     return Exported(
         report, [robot.name for robot in csv_tables.settings(records).robots],
@@ -158,9 +160,13 @@ def _with_odometry(
             yield record
 
 
-def _is_before_time_0(record: Record) -> bool:
-    """Return whether a scan is, by sensor_delay, from before the time at which tables begin."""
-    return isinstance(record, Scan | RobotScan) and record.stamp < 0
+def _since_time_0(records: Iterable[Record], early: Counter[str]) -> Iterator[Record]:
+    """Yield records without scans that are, by sensor_delay, from before time 0; count these."""
+    for record in records:
+        if isinstance(record, Scan | RobotScan) and record.stamp < 0:
+            early[record.robot] += 1
+        else:
+            yield record
 
 
 def _graph_report(graph: Graph, between_maps: int) -> Iterator[str]:

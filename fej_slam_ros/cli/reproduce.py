@@ -30,6 +30,7 @@ from fej_slam_ros.atomic_files import (
     refuse_existing, write_csv, write_figure, write_json, write_text)
 from fej_slam_ros.cli import monte_carlo
 from fej_slam_ros.cli.arguments import integer_option, output_folder
+from fej_slam_ros.datasets.victoria_park import associated_log
 from fej_slam_ros.errors import UsageError
 from fej_slam_ros.experiments.andersson import experiment, report
 from fej_slam_ros.experiments.liu import (
@@ -113,6 +114,8 @@ def add_arguments(parser: ArgumentParser) -> None:
 
 def run(arguments: Namespace) -> int:
     chosen = _chosen(arguments)
+    if 'victoria_park' in chosen:
+        associated_log.find(arguments.data)  # Says at once that it is not there.
     order = Order(monte_carlo.with_defaults(arguments), arguments.output, chosen, [
         configuration for configuration in CONFIGURATIONS
         if not arguments.only or str(configuration) in arguments.only])

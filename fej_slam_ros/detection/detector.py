@@ -210,8 +210,10 @@ class Detector:
             joins=bool(np.abs(u).max() < MAX_MOTION)))
         share = 1.0 - found.beams / last
         points = found.points + np.outer(share, u[:2])
-        J = np.concatenate([
-            np.broadcast_to(np.eye(2), (len(points), 2, 2)), perpendicular(points)[:, :, None]], 2)
+        # Q is that of the base, which turns about its own origin.
+        C, of_base = rotation(stamped_scan.mount[2]), transform(stamped_scan.mount, points)
+        of_shift = np.broadcast_to(np.eye(2), (len(points), 2, 2))
+        J = C.T @ np.concatenate([of_shift, perpendicular(of_base)[:, :, None]], 2)
         R = found.R + share[:, None, None] * (J @ Q @ J.transpose(0, 2, 1))
         return replace(found, points=points, R=R)
 

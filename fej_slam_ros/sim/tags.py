@@ -14,6 +14,7 @@ from fej_slam_ros.core.geometry import Array, compose, poses_at
 from fej_slam_ros.core.records import NS, TrueLandmarks
 from fej_slam_ros.detection.objects import DetectedObject, ObjectNoise, transform_of
 from fej_slam_ros.detection.records import AnyRecord, measured_at, RobotTags
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim import sensors
 from fej_slam_ros.sim.world import make_world, World, WorldSettings
 
@@ -23,7 +24,7 @@ CAMERA_POSE = (0.15, 0.0, 0.3, -math.pi / 2.0, 0.0, -math.pi / 2.0)
 #: Distance of the tags of a robot from its base frame, and height of their centres [m].
 TAG_DEPTH, TAG_HEIGHT = 0.15, 0.2
 #: Number of tags of a robot, on its sides; robot k = 1, 2, ... has 1000 k, 1000 k + 1, ...
-SIDES = 4
+SIDES, FIRST_ROBOT_TAG = 4, 1000
 #: Heights of the centres of tags on posts [m].
 POST_TAG_HEIGHTS = (0.2, 0.8)
 #: Angle between the normal of a tag and the direction to the camera beyond which it is not seen.
@@ -64,12 +65,16 @@ class TagWorld(World):
 def robot_tags(robots: tuple[str, ...]) -> dict[str, list[str]]:
     """Return the names of the tags that each robot carries."""
     return {
-        name: [str(1000 * k + side) for side in range(SIDES)]
+        name: [str(FIRST_ROBOT_TAG * k + side) for side in range(SIDES)]
         for k, name in enumerate(robots, start=1)}
 
 
 def make_tag_world(settings: WorldSettings, rng: np.random.Generator) -> TagWorld:
     """Return a world whose landmarks are tags on posts that face the nearest path."""
+    if settings.landmarks >= FIRST_ROBOT_TAG:
+        raise UsageError(
+            f'landmarks: give fewer than {FIRST_ROBOT_TAG} tags on posts, from which number on'
+            ' tags are on robots')
     world = make_world(settings, rng)
     paths = np.vstack([poses[:, :2] for poses in world.true_poses.values()])
     normals, heights = {}, {}

@@ -30,6 +30,8 @@ PERIOD_ERROR = 0.05
 #: Minimum length, in rows at the mean rate, of the windows before and after a step back whose
 #: rates are compared.
 NEARBY_ROWS = 20
+#: Maximum number of rows after a step back that give the period of the log there.
+MAX_NEXT_ROWS = 1000
 #: Maximum number of parts into which a log is divided; more are disorder of another kind.
 MAX_PARTS = 100
 #: Steps longer than this multiple of the median step are gaps; the mean rate leaves them out.
@@ -88,6 +90,9 @@ def breaks(stamps: Stamps) -> list[int]:
     The log is divided at the step back where its rows mix most, then both parts again, but no
     further than into `MAX_PARTS`.
     """
+    steps = np.diff(stamps)
+    if np.count_nonzero(steps < 0) > np.count_nonzero(steps > 0):
+        return []  # in reverse, as tables that begin with the newest row
     # Sorted, a log that is in no order has its period, and one that is there twice, half of it.
     step = min(period(stamps) or np.inf, 2.0 * period(np.sort(stamps)))
     found: list[int] = []
@@ -174,9 +179,14 @@ def _local_period(stamps: Stamps, row: int, in_order: Stamps, step: float) -> fl
             in_order, begin, 'right'))
         if count >= NEARBY_ROWS // 2:
             around.append((end - begin) / (count + 1.0))
-    next_rows = np.sort(stamps[row:row + NEARBY_ROWS])
+    next_rows = stamps[row:row + MAX_NEXT_ROWS]
     if len(next_rows) < NEARBY_ROWS:
         return min([step, *around])
-    # Far from each other, successive rows are in no order.
-    own = max(float(np.median(np.diff(next_rows))), 1.0)
+    ascending = next_rows[:([*steps_back(next_rows), len(next_rows)])[0]]
+    ascending = ascending[ascending <= high]
+    if len(ascending) >= NEARBY_ROWS:
+        own = period(ascending)
+    else:
+        # Far from each other, successive rows are in no order.
+        own = max(float(np.median(np.diff(np.sort(next_rows[:NEARBY_ROWS])))), 1.0)
     return min(own, max(around, default=own if own < MAX_PERIODS * step else 0.5 * step))

@@ -30,11 +30,6 @@ def entries(errors: Errors) -> dict[str, float]:
     return {name: float(values[0]) for name, values in weighted.items()}
 
 
-def entries_of_each(errors: Errors) -> dict[str, Array]:
-    """Return the entries of each of the stacked runs alone."""
-    return _weighted(errors, np.eye(len(errors.landmarks)))
-
-
 def ranges(errors: Errors, rng: np.random.Generator) -> dict[str, EntryRange]:
     """Return the distribution of the entries, by resampling 100 of the stacked runs."""
     runs = len(errors.landmarks)
@@ -54,6 +49,13 @@ def entries_of_run(errors: Errors) -> dict[str, float]:
         values += [nees, math.sqrt(position), math.sqrt(heading)]
     position, nees = errors.landmarks.mean(axis=1).tolist()
     return dict(zip(TABLE_ENTRIES, [*values, nees, math.sqrt(position)]))
+
+
+def entries_of_each(errors: Errors) -> list[dict[str, float]]:
+    """Return the entries of each of the stacked runs alone, as `entries_of_run`."""
+    return [
+        entries_of_run(Errors({name: steps[k] for name, steps in errors.poses.items()}, landmarks))
+        for k, landmarks in enumerate(errors.landmarks)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -123,9 +123,10 @@ def runs_csv_rows(runs: TableRuns, first: int) -> Iterator[list[str]]:
     yield ['environment', 'landmarks', 'run', 'filter', *TABLE_ENTRIES]
     for (environment, landmarks), by_filter in runs.items():
         for name, errors in by_filter.items():
-            columns = metrics.entries_of_each(errors).values()
-            for run, row in enumerate(zip(*(column.tolist() for column in columns)), first):
-                yield [str(environment), str(landmarks), str(run), name, *map(repr, row)]
+            for run, entries in enumerate(metrics.entries_of_each(errors), first):
+                yield [
+                    str(environment), str(landmarks), str(run), name,
+                    *map(repr, entries.values())]
 
 
 def markdown(table: Mapping[str, TableEntry], about: str) -> str:

@@ -6,7 +6,7 @@ Output files of a run, the same for `replay`, `smooth` and a node.
 Rows are written during the run, into ``*.part`` files that are renamed when they are complete.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from itertools import chain
@@ -152,10 +152,24 @@ class RunFiles:
             **{part.path.name: part.keep for part in self._parts()},
             'landmarks.csv': partial(self._write_landmarks, maps, shared_ids),
             **{f'{name}.json': partial(write_json, self.folder / f'{name}.json', content)
-               for name, content in contents.items()}})
+               for name, content in contents.items()},
+            'files of an earlier run': partial(self._delete_earlier, contents)})
         self._end(PartFile.close)
         if errors:
             raise IncompleteError(errors)
+
+    def _delete_earlier(self, contents: Container[str]) -> None:
+        """Delete what an earlier run has left, which would count as part of this one."""
+        if not self._force:
+            return
+        left = [] if 'alignment' in contents else [self.folder / 'alignment.json']
+        for path in self.folder.glob('trajectory_*.csv'):
+            robot = path.stem.removeprefix('trajectory_')
+            if robot not in self._trajectories:
+                left += _trajectory_paths(self.folder, robot)
+        with writing(f'to {self.folder}'):
+            for path in left:
+                path.unlink(missing_ok=True)
 
     def _append(self, estimate: PoseEstimate) -> int:
         """Append a pose in memory; return the size of what waits for its robot [bytes]."""

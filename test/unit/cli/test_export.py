@@ -185,7 +185,7 @@ def test_what_is_applied_to_the_data_is_left_out_of_their_parameters(tmp_path):
         'csv': applied.keys() - {'r1.sensor_pose'} | ids}
 
 
-def test_scans_before_time_0_by_a_delay_are_left_out_of_tables(tmp_path):
+def test_scans_before_time_0_by_a_delay_are_left_out_of_tables(tmp_path, capsys):
     params = write_parameters(tmp_path / 'p.yaml', robots=['r1', 'r2'], **{
         'r1.sensor_delay': 1.5, 'max_delay': 2.0})
     expected = estimates(SHIPPED['two_circles'], params, tmp_path / 'expected')
@@ -193,6 +193,8 @@ def test_scans_before_time_0_by_a_delay_are_left_out_of_tables(tmp_path):
     assert run_verb(
         'export', 'csv', SHIPPED['two_circles'], '--params', params, '--output', output) == 0
 
+    # Those at 1.0, 1.2 and 1.4 s.
+    assert 'r1: scans before time 0, not exported: 3\n' in capsys.readouterr().out
     assert run_verb('convert', 'csv', '--input', output, '--output', tmp_path / 'back') == 0
 
     got = estimates(tmp_path / 'back', f'{output}.yaml', tmp_path / 'got')

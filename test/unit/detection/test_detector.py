@@ -107,6 +107,30 @@ def test_uncertain_odometry_during_the_scan_makes_its_first_landmarks_uncertain(
     np.testing.assert_allclose(added, 0.0, atol=2e-4)
 
 
+@pytest.mark.parametrize('mount', [
+    (0.0, 0.0, np.pi / 2.0), (0.0, 0.0, -0.7), (1.5, 0.3, 0.0), (1.0, -0.5, np.pi)])
+def test_uncertain_odometry_is_that_of_the_base_also_where_the_laser_is_turned(mount):
+    mount, Q = np.array(mount), np.diag([0.4, 0.02, 0.1])
+    scan = replace(scan_of(POSTS, beams=BEAMS), time_increment=DURATION / BEAMS)
+    found = []
+    for twist_covariance in (np.zeros((3, 3)), Q):
+        stream = detector()
+        for k in range(4):
+            stream.add_odometry(Odometry('r1', k * NS // 20, np.zeros(3), twist_covariance))
+        stream.add_scan(StampedScan(0, scan, mount))
+        found.append(next(stream.take())[1])
+
+    sure, unsure = found
+    share = 1.0 - sure.beams / (BEAMS - 1)
+    for k, point in enumerate(sure.points):
+        # Where a motion of the base that is not in its odometry moves the point, numerically.
+        J = np.transpose([
+            (transform(inverse(mount), transform(step, transform(mount, point[None])))[0] - point)
+            / 1e-6 for step in 1e-6 * np.eye(3)])
+        np.testing.assert_allclose(
+            unsure.R[k] - sure.R[k], share[k] * J @ (2 * 0.05**2 * Q) @ J.T, atol=1e-4)
+
+
 def test_odometry_from_before_the_clock_was_set_changes_no_covariance_after_it():
     def covariances(*before):
         stream, begin, Q = detector(), 1_700_000_000 * NS, np.diag([0.01, 0.01, 0.04])

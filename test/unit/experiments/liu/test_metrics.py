@@ -65,9 +65,11 @@ def test_entries_of_each_run_are_those_of_the_run_alone():
 
     found = entries_of_each(errors)
 
-    assert list(found) == NAMES
-    expected = np.transpose([by_definition(run) for run in runs])
-    assert_allclose(list(found.values()), expected, rtol=1e-14)  # rounding
+    for entries_of_one, run in zip(found, runs, strict=True):
+        assert list(entries_of_one) == NAMES
+        squares = [steps[0].mean(axis=1) for steps in run.poses.values()]
+        assert entries_of_one['r1_pos'] == pytest.approx(sqrt(squares[0][0]), rel=1e-14)
+        assert entries_of_one['r2_head'] == pytest.approx(sqrt(squares[1][1]), rel=1e-14)
 
 
 def test_a_run_alone_has_root_mean_squares_over_its_steps_and_landmarks():
@@ -100,8 +102,9 @@ def test_the_mean_of_100_runs_varies_by_a_tenth_of_a_single_run():
 
     # NEES is a plain mean over runs. Of 2000 draws the sd is known to 1.6 %, taken 4 times.
     for name in ('r1_nees', 'r2_nees', 'f_nees'):
-        sd = np.std(each[name]) / 10.0
-        assert found[name].mean == pytest.approx(each[name].mean(), abs=4.0 * sd / sqrt(2000))
+        of_runs = np.array([of_run[name] for of_run in each])
+        sd = np.std(of_runs) / 10.0
+        assert found[name].mean == pytest.approx(of_runs.mean(), abs=4.0 * sd / sqrt(2000))
         assert found[name].sd100 == pytest.approx(sd, rel=0.064)
 
 
