@@ -46,8 +46,8 @@ setup(
     ext_modules=extensions,
     package_data={
         NAME: [
-            'py.typed', 'core/ekf/_kernel.pyi', 'benchmark/ceres_batch.cpp', 'benchmark/mrpt_ekf.cpp',
-            'experiments/liu/published.json']},
+            'py.typed', 'core/ekf/_kernel.pyi', 'experiments/liu/published.json',
+            'benchmark/ceres_batch.cpp', 'benchmark/mrpt_ekf.cpp']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),

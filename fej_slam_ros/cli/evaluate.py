@@ -123,6 +123,8 @@ def _evaluate(arguments: argparse.Namespace, is_bag: bool, output: Path) -> int:
         contents |= _pictures(output, evaluation)
     with postponed():
         write_all(contents | {output / 'evaluation.json': json_bytes(report)})
+        for path in _of_evaluation(output) - contents.keys() if arguments.force else ():
+            path.unlink(missing_ok=True)
     print('\n'.join([*_tables(report, result.shared_ids), f'wrote {output}']))
     return 0
 
@@ -163,6 +165,13 @@ def _sources(arguments: argparse.Namespace) -> Sources:
             f'{run} has no ground truth, and its input bag is unknown or missing:'
             f' give the truth {recorded_truth.TRUTH_OR_NIS}')
     return Sources(run_names, truth, given or stored)
+
+
+def _of_evaluation(output: Path) -> set[Path]:
+    """Return the files in a folder that are of evaluations only; a run has <robot>.tum, too."""
+    return {
+        *(output / name for name in FIGURES), *output.glob('*_truth.tum'),
+        *output.glob('*_covariance.csv')}
 
 
 def _robot_contents(

@@ -132,6 +132,15 @@ def test_a_machine_whose_speed_drifts_gives_no_file(quick, monkeypatch, capsys, 
     assert not (tmp_path / 'times.json').exists()
 
 
+def test_missing_ros_is_reported_at_once(quick, monkeypatch, capsys):
+    measured = []
+    monkeypatch.setattr(benchmark, 'measure_machine', lambda: measured.append(1))
+    monkeypatch.setitem(sys.modules, 'fej_slam_ros.benchmark.live_load', None)
+
+    assert (quick('--live', '1'), measured) == (1, [])
+    assert 'live_load is missing' in capsys.readouterr().err
+
+
 def test_missing_data_are_reported_at_once(quick, monkeypatch, capsys, tmp_path):
     measured = []
     monkeypatch.setattr(benchmark, 'measure_machine', lambda: measured.append(1))

@@ -373,6 +373,18 @@ def test_an_old_name_in_the_file_is_written_as_the_present_one(calibrate, places
     assert 'second_look' not in written
 
 
+def test_a_calibration_that_is_right_already_is_repeated_without_change(calibrate, places):
+    _, params, output = places
+    assert calibrate(RECORDS)[0] == 0
+    params.write_text(first := output.read_text())
+
+    status, printed, _ = calibrate(None, '--force')
+
+    assert status == 0
+    assert 'yes' in printed
+    assert output.read_text() == first
+
+
 def test_too_little_data_is_reported(calibrate, places):
     begin = [r for r in RECORDS if isinstance(r, TrueLandmarks) or r.stamp < 13 * 10**9]
 

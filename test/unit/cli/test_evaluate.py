@@ -354,6 +354,21 @@ def test_no_file_of_another_run_is_overwritten_without_force(replayed, evaluate,
     assert other.read_text() == 'of another run'
 
 
+def test_force_deletes_what_an_earlier_evaluation_has_left(replayed, evaluate, tmp_path):
+    output = tmp_path / 'evaluation'
+    output.mkdir()
+    for name in ('nees.png', 'r9_truth.tum', 'r9_covariance.csv', 'r9.tum', 'notes.txt'):
+        (output / name).write_text('of an earlier one')
+
+    status, _, _ = evaluate(replayed / 'two_circles', '--no-plots', '--force')
+
+    assert status == 0
+    assert {path.name for path in output.iterdir()} == {
+        'evaluation.json', 'r9.tum', 'notes.txt', *(
+            f'{robot}{end}' for robot in ('r1', 'r2')
+            for end in ('.tum', '_truth.tum', '_covariance.csv'))}
+
+
 @pytest.mark.parametrize('length', ['0', '-1', 'far', 'inf'])
 def test_a_bad_length_is_a_usage_error(replayed, evaluate, length):
     assert evaluate(replayed / 'two_circles', '--delta', length)[0] == 2

@@ -224,6 +224,16 @@ def test_an_unreadable_data_file_is_named(reproduce, tmp_path, part):
         r'reproduce: .*\.mat: cannot be read as a MATLAB file .*\n', errors)
 
 
+def test_missing_data_of_one_part_end_all_before_the_first(reproduce, tmp_path):
+    (tmp_path / 'data').mkdir()
+
+    status, out, errors = reproduce('all', '--runs', '1', '--data', tmp_path / 'data')
+
+    assert (status, out) == (1, '')
+    assert 'holds no associated Victoria Park data' in errors
+    assert not (tmp_path / 'out').exists()
+
+
 def test_an_output_that_is_not_a_folder_is_rejected(reproduce, tmp_path):
     (tmp_path / 'out').write_text('', encoding='utf-8')
 

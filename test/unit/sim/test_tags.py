@@ -9,6 +9,7 @@ import pytest
 
 from fej_slam_ros.core.geometry import poses_at
 from fej_slam_ros.detection.records import RobotTags
+from fej_slam_ros.errors import UsageError
 from fej_slam_ros.sim.environments import ALL_ENVIRONMENTS
 from fej_slam_ros.sim.tags import (
     CAMERA_POSE, CameraSettings, make_tag_world, MAX_VIEW_ANGLE, measure, robot_tags, TAG_DEPTH)
@@ -72,6 +73,11 @@ def test_exactly_the_tags_in_view_are_seen(world):
                     and x > 0.0 and abs(np.arctan2(y, x)) <= EXACT.field_of_view / 2.0):
                 expected.add(name)
         assert {tag.name for tag in image.tags if int(tag.name) < 1000} == expected
+
+
+def test_tags_on_posts_must_not_have_the_numbers_of_those_on_robots():
+    with pytest.raises(UsageError, match='fewer than 1000 tags on posts'):
+        make_tag_world(replace(WORLD, landmarks=1000), np.random.default_rng(1))
 
 
 def test_robots_carry_tags_on_their_sides(world):

@@ -87,6 +87,12 @@ def test_only_stale_memory_is_deleted_on_request(doctor, folder):
     assert names(folder) == {SEGMENT, f'{SEGMENT}_el'} | OTHERS
 
 
+@pytest.mark.parametrize('words', [
+    ('--json', 'report.json'), ('--params', 'team.yaml'), ('--namespace', 'fleet')])
+def test_options_for_a_bag_are_refused_for_the_system(doctor, words):
+    assert_one_sentence(doctor('--system', *words), 2, 'are for a BAG')
+
+
 @pytest.mark.parametrize('words', [(), ('--delete-stale',), ('bag', '--system')])
 def test_a_bag_or_the_system_is_checked(doctor, words):
     assert_one_sentence(doctor(*words), 2, 'give either BAG, or --system')

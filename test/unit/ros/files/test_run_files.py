@@ -146,6 +146,20 @@ def test_force_deletes_an_ids_csv_that_no_longer_applies(folder):
     assert {path.name for path in folder.iterdir()} == NAMES
 
 
+def test_force_deletes_what_an_earlier_run_of_other_robots_has_left(folder):
+    finished_run(folder, map(raw_record, meeting()))
+    (folder / 'alignment.json').write_text('of a smoother')
+    (folder / 'notes.csv').write_text('of the user')
+
+    run = EstimatorSession(run_settings('r1'), folder, force=True)
+    kept = {path.name for path in folder.iterdir()}
+    run.write_files()
+
+    assert kept >= NAMES
+    assert {path.name for path in folder.iterdir()} == {
+        'landmarks.csv', 'notes.csv', 'r1.tum', 'summary.json', 'trajectory_r1.csv'}
+
+
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / 'file').write_text('')
 
