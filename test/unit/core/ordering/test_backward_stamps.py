@@ -177,6 +177,36 @@ def test_the_rate_at_the_break_decides_where_it_changes():
     assert breaks(stamps) == [len(slow)]
 
 
+def in_bursts(seed):
+    """Return a log of 60 s whose rows come in bursts of 10 ms, 17.5 ms apart in the mean."""
+    steps = np.random.default_rng(seed).choice([10, 10, 10, 40], round(60_000 / 17.5))
+    return np.cumsum(steps) * MS
+
+
+@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('back', [500, 3000, 20_000])
+def test_a_clock_that_is_set_back_is_a_break_of_a_log_in_bursts(back, seed):
+    stamps = in_bursts(seed)
+    row = len(stamps) // 2
+    stamps[row:] -= back * MS
+
+    assert breaks(stamps) == [row]
+
+
+def test_another_log_in_bursts_at_the_same_time_is_a_break():
+    first, other = in_bursts(1), in_bursts(2)[500:2000] + MS
+
+    assert breaks(np.concatenate([first, other])) == [len(first)]
+
+
+def test_a_log_in_reverse_may_have_pauses():
+    stamps = in_bursts(1)
+    stamps[1000:] += 300 * MS
+    stamps[2000:] += 5000 * MS
+
+    assert breaks(stamps[::-1]) == []
+
+
 @pytest.mark.parametrize('stamps', [[], [5 * MS], [10 * MS, 0]])
 def test_logs_of_a_few_rows_are_in_order(stamps):
     assert breaks(np.array(stamps, np.int64)) == []
