@@ -30,6 +30,9 @@ PERIOD_ERROR = 0.05
 #: Minimum length, in rows at the mean rate, of the windows before and after a step back whose
 #: rates are compared.
 NEARBY_ROWS = 20
+#: Share of the rows of a window that rows before and after must each have to be compared there,
+#: and minimum number of such windows.
+MIN_OF_BOTH, MIN_WINDOWS = 0.25, 3
 #: Maximum number of rows after a step back that give the period of the log there.
 MAX_NEXT_ROWS = 1000
 #: Maximum number of parts into which a log is divided; more are disorder of another kind.
@@ -120,9 +123,11 @@ def _break(stamps: Stamps, step: float) -> int:
             return row
         changes = int(np.count_nonzero(np.diff(is_later)))
         passed = _passed(times, is_later, step)
-        if changes > most and passed.is_mixed and _is_dense(
-                in_order, passed, row, _local_period(stamps, row, in_order, step)):
-            worst, most = row, changes
+        if changes > most and passed.is_mixed:
+            period_here = _local_period(stamps, row, in_order, step)
+            if _is_dense(in_order, passed, row, period_here) or _is_doubled(
+                    times, is_later, period_here):
+                worst, most = row, changes
     return worst
 
 
@@ -165,6 +170,18 @@ def _is_dense(in_order: Stamps, passed: _PassedTime, before: int, period: float)
     return begin <= end and surplus >= max(
         MIN_SURPLUS_ROWS if is_whole else NEARBY_ROWS, MIN_SURPLUS * min(regular, before),
         PERIOD_ERROR * regular)
+
+
+def _is_doubled(times: Stamps, is_later: Flags, period: float) -> bool:
+    """Return whether there are too many rows wherever there are some of before and of after."""
+    windows = ((times - times[0]) / (NEARBY_ROWS * period)).astype(np.int64)
+    counts = [np.bincount(windows[part], minlength=windows[-1] + 1) for part in (
+        is_later, ~is_later)]
+    has_both = np.minimum(*counts) >= MIN_OF_BOTH * NEARBY_ROWS
+    regular = NEARBY_ROWS * np.count_nonzero(has_both)
+    return bool(
+        regular >= MIN_WINDOWS * NEARBY_ROWS
+        and np.add(*counts)[has_both].sum() >= (1.0 + MIN_SURPLUS) * regular)
 
 
 def _local_period(stamps: Stamps, row: int, in_order: Stamps, step: float) -> float:
