@@ -62,3 +62,29 @@ def distances_where_tested(r: Array, S: Array) -> Array:
     d2: Array = np.sum(
         np.square(along) * is_tested / np.where(is_tested, variances, 1.0), axis=1)
     return d2
+
+
+def increases_of_chi_square(r: Array, D: Array, S: Array, fitted: int) -> Array:
+    """
+    Return by how much the chi-square of a least squares fit increases with each point left out.
+
+    It is the squared Mahalanobis distance of a point's residual from the one that the fitted ones
+    predict.
+
+    Parameters
+    ----------
+    r, D, S : (2 m,), (2 m, u) and (2 m, 2 m) arrays, residuals at the fit of u unknowns, their
+        Jacobian and covariance, those of the fitted points first
+    fitted : number of residuals of the fitted points
+
+    """
+    of_fit, rest = slice(fitted), slice(fitted, None)
+    whitened = np.linalg.solve(
+        S[of_fit, of_fit], np.column_stack([S[of_fit, rest], r[of_fit], D[of_fit]]))
+    left = len(r) - fitted
+    K, of_r, of_D = whitened[:, :left].T, whitened[:, left], whitened[:, left + 1:]
+    P = np.linalg.inv(D[of_fit].T @ of_D)
+    D_e = D[rest] - S[rest, of_fit] @ of_D
+    S_e = S[rest, rest] - K @ S[of_fit, rest] + D_e @ P @ D_e.T
+    return squared_distances(
+        (r[rest] - S[rest, of_fit] @ of_r).reshape(-1, 2), own_blocks(S_e))

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.parameter_kinds import MAX_NOISE_GROWTH
+from fej_slam_ros.core.parameter_kinds import MAX_NOISE_GROWTH, MAX_NOISE_SCALE
 
 #: Number of errors from which growth is fitted.
 MIN_ERRORS = 200
@@ -46,7 +46,10 @@ def noise_growth(
     gain : gain of the log-likelihood from which noise grows
 
     """
-    errors = [np.array(of_kind) for of_kind in kinds if of_kind]
+    # Observations without noise, as of some simulators, show no growth.
+    errors = [
+        of_kind for of_kind in map(np.array, filter(len, kinds))
+        if np.mean(of_kind[:, 1]) > MAX_NOISE_SCALE ** -2.0]
     if sum(map(len, errors)) < MIN_ERRORS:
         return None
 

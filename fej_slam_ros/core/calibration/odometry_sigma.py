@@ -19,6 +19,7 @@ from fej_slam_ros.core.calibration.scales_of_errors import OUTLIER_PROBABILITY
 from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 
 #: Number of windows from which both are fitted: their ratio is known to 10 % then.
 MIN_WINDOWS = 100
@@ -39,7 +40,7 @@ def sigma_factors(
     """
     Return the factors of the standard deviations of positions and of turns.
 
-    None if one factor of both fits, or if there are too few errors.
+    None if one factor of both fits, if there are too few errors, or if these are rounding only.
 
     Parameters
     ----------
@@ -62,7 +63,11 @@ def sigma_factors(
         d2 = np.minimum(nees(e, S), chi_square_limit(3, OUTLIER_PROBABILITY))
         return 0.5 * float(np.sum(np.linalg.slogdet(S)[1] + d2))
 
-    start = math.log(np.median(nees(e, P)) / chi_square_limit(3, 0.5)) / 2.0
+    variance = float(np.median(nees(e, P))) / chi_square_limit(3, 0.5)
+    if variance < MAX_NOISE_SCALE ** -2.0:
+        # Odometry without noise, as of some simulators, determines none.
+        return None
+    start = math.log(variance) / 2.0
     found = minimize(cost, [start, start], method='Nelder-Mead')
     position, turn = np.exp(found.x).tolist()
     return (position, turn) if abs(math.log(turn / position)) > math.log(MIN_RATIO) else None

@@ -10,6 +10,7 @@ import numpy as np
 from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
 from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.geometry import Array, Flags
+from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 
 #: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
 #: tails of real noise, and so give factors that are too small.
@@ -25,8 +26,8 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     """
     Return the root mean error squared e^T P^-1 e per degree of freedom, without outliers.
 
-    Iterated from the median, until there are no further inliers. If most errors are exactly 0, as
-    of a simulated robot that stands, they determine no factor.
+    Iterated from the median, until there are no further inliers. If most errors are 0 or rounding,
+    as of a simulated robot without noise, they determine no factor.
 
     """
     d2 = np.array(squared)
@@ -34,7 +35,7 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     variance, kept = float(np.median(d2)) / chi_square_limit(dof, 0.5), 0
     while (count := int((d2 <= limit * variance).sum())) > kept:
         variance, kept = float(d2[d2 <= limit * variance].mean()) / dof, count
-    if variance == 0.0:
+    if variance < MAX_NOISE_SCALE ** -2.0:
         return NoiseScale(1.0, math.inf, len(d2))
     return NoiseScale(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
 

@@ -106,6 +106,10 @@ class RendezvousAligner:
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous]
     ) -> JoinFailure | None:
         """Return a failure if a rendezvous is not in the largest set of those that agree."""
+        own = self.align(p, q, rendezvous.measurements)
+        if isinstance(own, JoinFailure):
+            # It is reported by itself, whatever the others are.
+            return None
         compared: list[Rendezvous] = []
         base_nodes: list[BaseNode] = []
         # The rendezvous itself takes part in any case.
@@ -113,14 +117,14 @@ class RendezvousAligner:
         for other in attempted:
             if other is not rendezvous and not (room and _relates(other, p, q)):
                 continue
-            aligned = self.align(p, q, other.measurements)
+            aligned = own if other is rendezvous else self.align(p, q, other.measurements)
             if not isinstance(aligned, JoinFailure):
                 compared.append(other)
                 base_nodes.append(aligned[0])
                 room -= other is not rendezvous
         agreeing = [compared[k] for k in largest_agreement(base_nodes, self._rules)]
         # Of two that disagree either may be wrong; one that fails alone is reported by itself.
-        if len(compared) < 3 or rendezvous not in compared or rendezvous in agreeing:
+        if len(compared) < 3 or rendezvous in agreeing:
             return None
         return JoinFailure(
             f'inconsistent ({len(agreeing)} of {len(compared)} rendezvous agree, without it)')

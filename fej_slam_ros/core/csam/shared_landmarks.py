@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from fej_slam_ros.core import models
+from fej_slam_ros.core.chi_square import increases_of_chi_square
 from fej_slam_ros.core.csam.join_rules import JoinRules
 from fej_slam_ros.core.csam.maps import JointMap
 from fej_slam_ros.core.geometry import Array, rigid_fit, rotation, transform
@@ -177,11 +178,16 @@ class SharedLandmarks:
         where the others predict a landmark.
 
         """
-        with_one = {
-            key: self.align([other for other in farthest if other != key]) for key in farthest}
-        return {
-            key: aligned.chi_square - others.chi_square for key, aligned in with_one.items()
-            if isinstance(aligned, LandmarkAlignment)}
+        left_out = frozenset(farthest)
+        order = sorted(range(len(self._keys)), key=lambda k: self._keys[k] in left_out)
+        fitted = len(order) - len(left_out)
+        C = np.kron(np.eye(len(order)), rotation(others.base_node[2]))
+        S = self.p.information().joint(points=self._in_p[order].tolist()) + (
+            C @ self.q.information().joint(points=self._in_q[order].tolist()) @ C.T)
+        moved = transform(others.base_node, self._points_q[order])
+        D = np.vstack([*map(models.F, moved - others.base_node[:2])])
+        d2 = increases_of_chi_square((self._points_p[order] - moved).ravel(), D, S, 2 * fitted)
+        return {self._keys[k]: value for k, value in zip(order[fitted:], d2.tolist())}
 
     def _farthest(self) -> list[LandmarkKey]:
         """Return the landmarks that fit the others least."""

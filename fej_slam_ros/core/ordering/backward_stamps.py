@@ -93,17 +93,14 @@ def breaks(stamps: Stamps) -> list[int]:
     The log is divided at the step back where its rows mix most, then both parts again, but no
     further than into `MAX_PARTS`.
     """
-    steps = np.diff(stamps)
-    if np.count_nonzero(steps < 0) > np.count_nonzero(steps > 0):
+    if np.sign(np.diff(stamps)).sum() < 0:
         return []  # in reverse, as tables that begin with the newest row
     # Sorted, a log that is in no order has its period, and one that is there twice, half of it.
     step = min(period(stamps) or np.inf, 2.0 * period(np.sort(stamps)))
-    found: list[int] = []
-    parts = [(0, len(stamps))]
+    found, parts = list[int](), [(0, len(stamps))]
     while parts and len(found) < MAX_PARTS - 1:
         begin, end = parts.pop()
-        row = _break(stamps[begin:end], step)
-        if row:
+        if row := _break(stamps[begin:end], step):
             found.append(begin + row)
             parts += [(begin + row, end), (begin, begin + row)]
     return sorted(found)
@@ -122,13 +119,21 @@ def _break(stamps: Stamps, step: float) -> int:
         if np.diff(times).max() > max(MIN_GAP * (high - low), MAX_PERIODS * step, pauses[row]):
             return row
         changes = int(np.count_nonzero(np.diff(is_later)))
-        passed = _passed(times, is_later, step)
-        if changes > most and passed.is_mixed:
-            period_here = _local_period(stamps, row, in_order, step)
-            if _is_dense(in_order, passed, row, period_here) or _is_doubled(
-                    times, is_later, period_here):
-                worst, most = row, changes
+        if changes > most and _are_too_many(stamps, row, in_order, is_later, step):
+            worst, most = row, changes
     return worst
+
+
+def _are_too_many(
+    stamps: Stamps, row: int, in_order: Stamps, is_later: Flags, step: float
+) -> bool:
+    """Return whether rows before and after a step back alternate, and are too many for the log."""
+    times = in_order[np.searchsorted(in_order, stamps[row]):][:len(is_later)]
+    passed = _passed(times, is_later, step)
+    if not passed.is_mixed:
+        return False
+    here = _local_period(stamps, row, in_order, step)
+    return _is_dense(in_order, passed, row, here) or _is_doubled(times, is_later, here)
 
 
 class _PassedTime(NamedTuple):
@@ -196,14 +201,19 @@ def _local_period(stamps: Stamps, row: int, in_order: Stamps, step: float) -> fl
             in_order, begin, 'right'))
         if count >= NEARBY_ROWS // 2:
             around.append((end - begin) / (count + 1.0))
-    next_rows = stamps[row:row + MAX_NEXT_ROWS]
-    if len(next_rows) < NEARBY_ROWS:
+    own = _period_of_next(stamps[row:row + MAX_NEXT_ROWS], high)
+    if not own:
         return min([step, *around])
-    ascending = next_rows[:([*steps_back(next_rows), len(next_rows)])[0]]
+    return min(own, max(around, default=own if own < MAX_PERIODS * step else 0.5 * step))
+
+
+def _period_of_next(stamps: Stamps, high: int) -> float:
+    """Return the period [ns] of the rows after a step back from a stamp; 0 if they are few."""
+    if len(stamps) < NEARBY_ROWS:
+        return 0.0
+    ascending = stamps[:([*steps_back(stamps), len(stamps)])[0]]
     ascending = ascending[ascending <= high]
     if len(ascending) >= NEARBY_ROWS:
-        own = period(ascending)
-    else:
-        # Far from each other, successive rows are in no order.
-        own = max(float(np.median(np.diff(np.sort(next_rows[:NEARBY_ROWS])))), 1.0)
-    return min(own, max(around, default=own if own < MAX_PERIODS * step else 0.5 * step))
+        return period(ascending)
+    # Far from each other, successive rows are in no order.
+    return max(float(np.median(np.diff(np.sort(stamps[:NEARBY_ROWS])))), 1.0)

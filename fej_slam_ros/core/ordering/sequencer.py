@@ -188,6 +188,13 @@ class Sequencer:
         """Return the stamp [ns] of the newest accepted odometry of a robot, None without any."""
         return self._queues[robot].odometry.newest if robot in self._queues else None
 
+    def odometry_span(self, robot: str) -> tuple[int, int]:
+        """Return the stamps [ns] of the first and the newest odometry of a robot of the team."""
+        odometry = self._queues[robot].odometry
+        if odometry.first is None or odometry.newest is None:
+            return sys.maxsize, sys.maxsize
+        return odometry.first, odometry.newest
+
     def has_processed(self, robot: str, stamp: int) -> bool:
         """Return whether a step of a robot was at a stamp [ns] or later."""
         processed = self._queues[robot].odometry.processed

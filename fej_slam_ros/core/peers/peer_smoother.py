@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import takewhile
+from operator import attrgetter
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Indices
-from fej_slam_ros.core.ordering.record_memory import identity, RecordMemory
+from fej_slam_ros.core.ordering.record_memory import identity, RecordIdentity, RecordMemory
 from fej_slam_ros.core.peers.blocks import MAX_STAMP
 from fej_slam_ros.core.peers.logs import LogName
 from fej_slam_ros.core.peers.rendezvous_window import contents, RendezvousResult
@@ -56,7 +57,9 @@ class PeerSmoother(TeamSmoother):
         self._team_settings = settings
         self._union: TeamSmoother | None = None
         self._robot_scans = RecordMemory()
-        for measurement in logs.contents(robot).measurements():
+        self._unreached: set[RecordIdentity] = set()  # own robot scans outside the odometry
+        # Their arrival was limited by the parameters of then, which may have been others.
+        for measurement in sorted(logs.contents(robot).measurements(), key=attrgetter('stamp')):
             self._use(measurement)
             for _ in self.take():
                 pass
@@ -116,6 +119,7 @@ class PeerSmoother(TeamSmoother):
         self.trajectories = {**union.trajectories}
         # Until now, they might have waited for a log that was on its way.
         self._count_rejected_robots(union)
+        self._count_unreached()
 
     def adopt_rendezvous(self, peer: str, result: RendezvousResult) -> None:
         """Adopt the result of a rendezvous, and let the other robot have the information."""
@@ -147,9 +151,12 @@ class PeerSmoother(TeamSmoother):
         if len(rows):
             of_own = solved.trajectories[self.robot]
             is_last = rows[-1] == len(of_own.poses) - 1
+            landmarks = self._landmarks_of(own, solved)
+            near = (
+                of_own.near.renumbered(of_own.landmarks, landmarks) if is_last
+                else NearMarginal.of_pose(of_own.P[rows[-1]]))
             own.adopt(replace(solved, trajectories={self.robot: SmoothedTrajectory(
-                of_own.poses[rows], of_own.P[rows], self._landmarks_of(own, solved),
-                of_own.near if is_last else NearMarginal.of_pose(of_own.P[rows[-1]]))}))
+                of_own.poses[rows], of_own.P[rows], landmarks, near)}))
 
     def _landmarks_of(self, own: RobotTrajectory, solved: SmoothedMap) -> Indices:
         """Return the index in a map of each own landmark, up to the first that is not in it."""
@@ -189,3 +196,15 @@ class PeerSmoother(TeamSmoother):
             own.pop(reason, None)
             if of_union[reason]:
                 own[reason] = of_union[reason]
+
+    def _count_unreached(self) -> None:
+        """Count own robot scans from before the begin and after the end of the odometry, once."""
+        first, last = self.sequencer.odometry_span(self.robot)
+        for record in self.logs.contents(self.robot).measurements():
+            if isinstance(record, RobotScan) and not first <= record.stamp <= last and (
+                    (known := identity(record)) not in self._unreached):
+                self._unreached.add(known)
+                self.statistics.observations_used[self.robot] -= len(record.observations)
+                self.statistics.reject_record(record, (
+                    RejectionReason.BEFORE_ODOMETRY if record.stamp < first
+                    else RejectionReason.AFTER_ODOMETRY))

@@ -167,7 +167,7 @@ def read(message: bytes, sender: str, receiver: str) -> WindowInformation | None
     times = tuple(np.frombuffer(stamps, '<i8').tolist())
     observations = [
         scan for scan in decoded(scans, sender) if isinstance(scan, RobotScan)
-        and [o.observed for o in scan.observations] == [receiver]]
+        and {o.observed for o in scan.observations} == {receiver}]
     if len(observations) > MAX_SENT or not 0 <= min(times) <= max(times) <= MAX_STAMP:
         raise BadBlockError('it has too many observations, or times that are none')
     return WindowInformation(times, information, tuple(observations))

@@ -183,6 +183,9 @@ class TeamLogs:
         present = log if log is not None and block.run == log.run else None
         if block.log.author == self.robot and not (
                 present is not None and present.contains(block.number)):
+            if block.run < self.run:
+                # Others still have the information of an earlier run.
+                raise MessageRejectedError(MessageRejection.OLD_RUN)
             raise MessageRejectedError(MessageRejection.SAME_NAME)
         if present is not None:
             return present

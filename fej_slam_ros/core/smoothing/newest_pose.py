@@ -67,6 +67,19 @@ class NearMarginal:
         T[3:, 3:] = np.kron(np.eye(len(self.landmarks)), C)
         return NearMarginal(self.landmarks, T @ self.P @ T.T)
 
+    def renumbered(self, before: Indices, after: Indices) -> 'NearMarginal':
+        """Return that of a robot with other landmarks, both given by their indices in the map."""
+        number = {index: k for k, index in enumerate(after.tolist())}
+        kept = [k for k, index in enumerate(before[self.landmarks].tolist()) if index in number]
+        states = np.r_[:3, 3 + _coordinates_of(kept)]
+        return NearMarginal(
+            np.array([number[index] for index in before[self.landmarks[kept]].tolist()], np.intp),
+            self.P[np.ix_(states, states)])
+
+
+def _coordinates_of(points: Sequence[int]) -> Indices:
+    return (2 * np.array(points, np.intp)[:, None] + np.arange(2)).ravel()
+
 
 class NewestPose:
     """

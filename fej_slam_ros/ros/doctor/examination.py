@@ -158,17 +158,15 @@ def _check_messages(
     yield from frames.check(survey, recorded_names, settings.node.shares_tf())
     for robot in estimation.robots:
         yield from odometry.check(survey.odometry(robot.name), robot)
+        yield from observations.check_first_estimates(robot.name, survey, estimation.filter)
         for kind in OBSERVATION_TOPICS:
             topic = f'{robot.name}/{kind}'
             yield from observations.check(
                 topic, survey.observations(topic), not trial.estimator.groups.not_in_map)
-            if kind == 'landmarks' and estimation.filter == 'fej':
-                yield from observations.check_first_estimates(topic, survey.observations(topic))
     yield from rejections.check(survey, trial, estimation)
     yield from team.check(survey, trial, estimation)
-    if trial.failure is None:
-        for robot in estimation.robots:
-            yield from stated_noise.check(robot, survey.odometry(robot.name), trial)
+    for robot in () if trial.failure else estimation.robots:
+        yield from stated_noise.check(robot, survey.odometry(robot.name), trial)
 
 
 def _default_settings(path: Path, names: TopicNames, robots: Sequence[str]) -> RunSettings:

@@ -9,7 +9,7 @@ import numpy as np
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import NO_ID
 from fej_slam_ros.ros.doctor.findings import error, Finding, warning
-from fej_slam_ros.ros.doctor.survey import ObservationSeries
+from fej_slam_ros.ros.doctor.survey import ObservationSeries, Survey
 
 #: Upper bound of the median range [m]; above it, units are wrong.
 MAX_MEDIAN_RANGE = 250.0
@@ -44,9 +44,11 @@ def check(where: str, topic: ObservationSeries, all_joined: bool) -> Iterator[Fi
     yield from _covariances(where, np.concatenate(topic.variances), median_range)
 
 
-def check_first_estimates(where: str, topic: ObservationSeries) -> Iterator[Finding]:
+def check_first_estimates(robot: str, survey: Survey, filter_name: str) -> Iterator[Finding]:
     """Yield that observations are too coarse for a filter with Jacobians at first estimates."""
-    if not topic.ranges:
+    where = f'{robot}/landmarks'
+    topic = survey.observations(where)
+    if filter_name != 'fej' or not topic.ranges:
         return
     ranges, variances = np.concatenate(topic.ranges), np.concatenate(topic.variances)
     is_known = np.isfinite(ranges) & (ranges > 0.0) & (variances > 0.0).all(axis=1)

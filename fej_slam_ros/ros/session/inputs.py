@@ -131,8 +131,7 @@ class Inputs:
     def continue_from(self, earlier: 'Inputs') -> None:
         """Take over static transforms, which are sent once, and input since time jumped."""
         self.mounts.restore(earlier.mounts.snapshot())
-        jump = earlier.time_jump_detector.jump
-        if jump is not None:
+        if (jump := earlier.time_jump_detector.jump) is not None:
             self.frames.restore(earlier.frames.snapshot())
             self.time_jump_detector.follow(jump)
 

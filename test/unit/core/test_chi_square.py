@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import chi2
 
 from fej_slam_ros.core.chi_square import (
-    band_per_dof, chi_square_limit, chi_square_quantile, distances_where_tested)
+    band_per_dof, chi_square_limit, chi_square_quantile, distances_where_tested,
+    increases_of_chi_square)
 
 DOFS = (1, 2, 3, 30, 401, 5000)
 # Two implementations of the inverse of the same incomplete gamma function.
@@ -60,3 +61,20 @@ def test_directions_in_which_nothing_else_tests_a_residual_do_not_count():
     r, S = np.array([[3.0, 1e-9]]), np.diag([2.0, 1e-12])[None]
 
     assert distances_where_tested(r, S) == pytest.approx([4.5])
+
+
+def test_chi_square_increases_as_by_a_new_fit_with_each_point():
+    rng = np.random.default_rng(1)
+    D, z, A = rng.normal(size=(16, 3)), rng.normal(size=16), rng.normal(size=(16, 16))
+    S = A @ A.T + np.eye(16)
+
+    def fit(rows):
+        W = np.linalg.inv(S[np.ix_(rows, rows)])
+        x = np.linalg.solve(D[rows].T @ W @ D[rows], D[rows].T @ W @ z[rows])
+        r = z[rows] - D[rows] @ x
+        return x, r @ W @ r
+
+    x, chi_square = fit([*range(10)])
+    expected = [fit([*range(10), k, k + 1])[1] - chi_square for k in (10, 12, 14)]
+
+    assert increases_of_chi_square(z - D @ x, D, S, 10) == pytest.approx(expected, rel=1e-9)

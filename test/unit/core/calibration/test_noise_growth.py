@@ -42,6 +42,11 @@ def test_constant_noise_does_not_grow(seed):
     assert noise_growth([errors(seed, 0.0)]) == 0.0
 
 
+@pytest.mark.parametrize('scale', [0.0, 1e-12])
+def test_observations_without_noise_show_no_growth(scale):
+    assert noise_growth([errors(1, 0.5, scale=scale)]) is None
+
+
 def test_few_errors_show_no_growth():
     assert noise_growth([errors(1, 2.0, MIN_ERRORS - 1)]) is None
     assert noise_growth([errors(1, 2.0, MIN_ERRORS)]) is not None

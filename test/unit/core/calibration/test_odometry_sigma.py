@@ -54,5 +54,9 @@ def test_odometry_that_states_its_covariance_keeps_it():
     assert found(driving(1, (0.02, 0.02, 0.05), covariance=np.diag([1e-3, 1e-3, 1e-4]))) == {}
 
 
+def test_odometry_without_noise_determines_no_sigmas():
+    assert not found(driving(1, np.zeros(3)))
+
+
 def test_few_windows_determine_no_sigmas():
     assert found(driving(1, (0.02, 0.02, 0.05), seconds=300)) == {}

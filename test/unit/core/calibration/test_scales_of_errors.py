@@ -34,10 +34,11 @@ def test_a_robot_without_errors_changes_no_factor():
         ['', 'r1'], noise_scale(squared, 3))
 
 
-def test_errors_of_exactly_0_determine_no_factor():
-    standing = [0.0] * 40
+@pytest.mark.parametrize('rounding', [0.0, 1e-28, 1e-9])
+def test_errors_of_0_or_of_rounding_determine_no_factor(rounding):
+    squared = (rounding * np.random.default_rng(1).chisquare(3, 40)).tolist()
 
-    found = noise_scales({'r1': standing, 'r2': standing}, 3)
+    found = noise_scales({'r1': squared, 'r2': squared}, 3)
 
     assert not found[''].is_known()
 

@@ -47,6 +47,23 @@ def test_one_wrong_rendezvous_of_three_does_not_join_the_maps_whenever_it_was(wr
     assert 'inconsistent' in failed[0].reason
 
 
+def test_a_rendezvous_that_aligns_nothing_is_compared_with_no_other(monkeypatch):
+    align, aligned = RendezvousAligner.align, []
+    monkeypatch.setattr(
+        RendezvousAligner, 'align',
+        lambda aligner, p, q, measurements: aligned.append(measurements) or align(
+            aligner, p, q, measurements))
+    # Single observations, which determine no heading.
+    team = Met(9, [(0, 1, k) for k in range(0, 60, 4)], steps=66)
+    measured = [
+        replace(m, stamp=30 * NS * k) for k, m in enumerate(team.measurements)]
+
+    joined_maps(team.maps, measured)
+
+    # Each by itself, and once more to be joined; each with each others would be over a hundred.
+    assert len(aligned) <= 3 * len(measured)
+
+
 # From 5 m on, the iteration does not converge with the wrong one.
 @pytest.mark.parametrize('error', [(2.0, 0.0), (0.0, 5.0), (-20.0, 5.0), (100.0, 0.0)])
 @pytest.mark.parametrize(('count', 'is_aligned'), [(9, False), (10, True)])

@@ -134,6 +134,41 @@ def test_robots_with_different_limits_on_scans_have_the_same_map():
     assert {union.statistics.observations_used['r1'] for union in maps} == {90}
 
 
+def test_a_robot_that_restarts_with_another_max_delay_continues_with_its_own_landmarks():
+    """Its log has a scan that came late, with landmarks that others of its scans have not."""
+    settings, points = team('r1', 'r2', max_delay=0.5), {
+        k: (3.0 * np.cos(k) + 2.0, 3.0 * np.sin(2.1 * k)) for k in range(1, 9)}
+
+    def scan_of(ms, ids):
+        return scan('r1', ms, [(k, (points[k][0] - ms / 1000.0, points[k][1])) for k in ids])
+
+    records = [record for ms in range(0, 3000, 100) for record in (
+        moved(ms), *([scan_of(ms, [1, 2, 3, 7, 8])] if ms >= 600 and ms % 200 == 0 else []))]
+    records.insert(6, scan_of(300, [4, 5, 6, 7, 8]))
+    before = TeamLogs('r1', 1, settings.robots[0])
+    first = PeerSmoother(settings, 'r1', before, 10**9)
+    for record in records:
+        assert first.add(record) is None
+    before.flush()
+    blocks, newest = before.take_new_blocks(), []
+    for restarted in (settings, replace(settings, max_delay=0.0)):
+        logs = TeamLogs('r1', 2, settings.robots[0])
+        for block in blocks:
+            logs.restore(block)
+        own = PeerSmoother(restarted, 'r1', logs, 10**9)
+        list(own.release())
+        own.adopt_union(smoothed_union(own.union_task()))
+        for ms in range(3000, 3500, 100):
+            own.add(moved(ms))
+            own.add(scan_of(ms, [1, 2, 3, 7, 8]))
+        list(own.release())
+        newest.append(own.trajectories['r1'].newest())
+
+    assert_allclose(newest[1].pose, newest[0].pose, atol=1e-6)
+    # The filter linearises where it is: a percent.
+    assert_allclose(np.diag(newest[1].P), np.diag(newest[0].P), rtol=0.01)
+
+
 def test_own_observations_of_robots_that_the_union_rejects_are_counted_as_in_the_centre():
     """At the end of the input; the odometry of r2 ends before the observations do."""
     settings = team('r1', 'r2')
@@ -165,6 +200,36 @@ def test_own_observations_of_robots_that_the_union_rejects_are_counted_as_in_the
     assert expected.rejection_counts['r1'] == {RejectionReason.OTHER_ROBOT_STALE: 15}
     assert own.statistics.rejection_counts['r1'] == expected.rejection_counts['r1']
     assert own.statistics.observations_used['r1'] == expected.observations_used['r1'] == 105
+
+
+def test_own_observations_of_robots_outside_the_own_odometry_are_counted_as_in_the_centre():
+    settings = team('r1', 'r2')
+    logs = {robot.name: TeamLogs(robot.name, 1, robot) for robot in settings.robots}
+    own = PeerSmoother(settings, 'r1', logs['r1'], 10**9)
+    records = [
+        *(robot_scan('r1', ms, [('r2', (0.0, 2.0))]) for ms in (500, 600, 700, 1500, 3500, 3600)),
+        *(record for ms in range(1000, 3000, 100) for record in (seen(ms), moved(ms)))]
+    records.sort(key=lambda record: record.stamp)
+    theirs = [odometry('r2', ms, (ms / 1000.0, 0.0, 0.0)) for ms in range(0, 4000, 100)]
+    for record in records:
+        own.add(record)
+        list(own.take())
+    for record in theirs:
+        logs['r2'].record(record)
+    logs['r2'].flush()
+    for block in logs['r2'].take_new_blocks():
+        logs['r1'].add(block)
+    list(own.close())
+    central, _ = smoothed(sorted([*records, *theirs], key=lambda record: record.stamp), settings)
+
+    for _ in range(2):
+        own.adopt_finally(smoothed_union(own.union_task()))
+
+    expected = central.statistics
+    assert expected.rejection_counts['r1'] == {
+        RejectionReason.BEFORE_ODOMETRY: 3, RejectionReason.AFTER_ODOMETRY: 2}
+    assert own.statistics.rejection_counts['r1'] == expected.rejection_counts['r1']
+    assert own.statistics.observations_used['r1'] == expected.observations_used['r1'] == 61
 
 
 @pytest.mark.parametrize('record', [

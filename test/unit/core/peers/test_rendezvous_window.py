@@ -185,6 +185,20 @@ def test_information_is_read_as_it_was_written_and_a_part_of_it_is_rejected():
             read(message[:size], 'p', 'q')
 
 
+def test_a_scan_may_observe_the_other_robot_more_than_once():
+    def twice(record):
+        return record if not isinstance(record, RobotScan) else replace(
+            record, observations=record.observations * 2)
+
+    robots, _ = met('map_joining', change=twice)
+    robots['p'].share_rendezvous('q')
+
+    window = read(b''.join(robots['p'].logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
+
+    assert window.scans
+    assert all(len(scan.observations) == 2 for scan in window.scans)
+
+
 @pytest.mark.parametrize('poses', [17, 18])
 def test_information_has_at_most_eight_observations_of_each_robot_and_the_start(poses):
     information = RendezvousInformation(

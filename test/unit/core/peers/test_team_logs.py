@@ -238,6 +238,15 @@ def test_another_robot_of_the_same_name_is_noticed():
     assert rejection(receiver(), blocks_of(other, 'p')[0]) is MessageRejection.SAME_NAME
 
 
+def test_what_others_still_have_of_an_own_earlier_run_is_of_no_other_robot():
+    earlier, logs = TeamLogs('p', 10, NOISE), TeamLogs('p', 20, NOISE)
+    earlier.publish(LogName('p', 'q'), [b'information'])
+    earlier.flush()
+
+    for block in earlier.take_new_blocks():
+        assert rejection(logs, block) is MessageRejection.OLD_RUN
+
+
 def test_an_own_block_that_another_robot_sends_back_is_known():
     logs, _ = written('p')
 
