@@ -15,8 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from fej_slam_ros.core.calibration.scales_of_errors import MIN_VARIANCE
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.parameter_kinds import MAX_NOISE_GROWTH, MAX_NOISE_SCALE
+from fej_slam_ros.core.parameter_kinds import MAX_NOISE_GROWTH
 
 #: Number of errors from which growth is fitted.
 MIN_ERRORS = 200
@@ -49,7 +50,7 @@ def noise_growth(
     # Observations without noise, as of some simulators, show no growth.
     errors = [
         of_kind for of_kind in map(np.array, filter(len, kinds))
-        if np.mean(of_kind[:, 1]) > MAX_NOISE_SCALE ** -2.0]
+        if np.mean(of_kind[:, 1]) > MIN_VARIANCE]
     if sum(map(len, errors)) < MIN_ERRORS:
         return None
 

@@ -15,11 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import minimize
 
-from fej_slam_ros.core.calibration.scales_of_errors import OUTLIER_PROBABILITY
+from fej_slam_ros.core.calibration.scales_of_errors import MIN_VARIANCE, OUTLIER_PROBABILITY
 from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.consistency import nees
 from fej_slam_ros.core.geometry import Array
-from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 
 #: Number of windows from which both are fitted: their ratio is known to 10 % then.
 MIN_WINDOWS = 100
@@ -64,7 +63,7 @@ def sigma_factors(
         return 0.5 * float(np.sum(np.linalg.slogdet(S)[1] + d2))
 
     variance = float(np.median(nees(e, P))) / chi_square_limit(3, 0.5)
-    if variance < MAX_NOISE_SCALE ** -2.0:
+    if variance < MIN_VARIANCE:
         # Odometry without noise, as of some simulators, determines none.
         return None
     start = math.log(variance) / 2.0

@@ -10,8 +10,9 @@ import numpy as np
 from fej_slam_ros.core.calibration.robot_scales import different_robots, NoiseScale
 from fej_slam_ros.core.chi_square import chi_square_limit
 from fej_slam_ros.core.geometry import Array, Flags
-from fej_slam_ros.core.parameter_kinds import MAX_NOISE_SCALE
 
+#: Variance of normalised errors below which these are rounding, of data without noise.
+MIN_VARIANCE = 1e-12
 #: Tail probability beyond which an error is an outlier. The limit of a gate would cut the heavy
 #: tails of real noise, and so give factors that are too small.
 OUTLIER_PROBABILITY = 1e-6
@@ -35,7 +36,7 @@ def noise_scale(squared: Sequence[float], dof: int) -> NoiseScale:
     variance, kept = float(np.median(d2)) / chi_square_limit(dof, 0.5), 0
     while (count := int((d2 <= limit * variance).sum())) > kept:
         variance, kept = float(d2[d2 <= limit * variance].mean()) / dof, count
-    if variance < MAX_NOISE_SCALE ** -2.0:
+    if variance < MIN_VARIANCE:
         return NoiseScale(1.0, math.inf, len(d2))
     return NoiseScale(math.sqrt(variance), 1.0 / math.sqrt(2 * dof * len(d2)), len(d2))
 

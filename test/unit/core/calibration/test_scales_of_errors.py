@@ -34,7 +34,7 @@ def test_a_robot_without_errors_changes_no_factor():
         ['', 'r1'], noise_scale(squared, 3))
 
 
-@pytest.mark.parametrize('rounding', [0.0, 1e-28, 1e-9])
+@pytest.mark.parametrize('rounding', [0.0, 1e-28, 1e-14])
 def test_errors_of_0_or_of_rounding_determine_no_factor(rounding):
     squared = (rounding * np.random.default_rng(1).chisquare(3, 40)).tolist()
 
