@@ -40,6 +40,29 @@ def blind(records, begin, end):
         if not (isinstance(r, Scan) and r.robot == 'r1' and begin < r.stamp <= end)]
 
 
+@pytest.mark.parametrize('jumps', [1, 2])
+def test_observations_of_poses_that_are_in_no_map_count_as_rejected(jumps):
+    records = ALONE
+    for k in range(jumps):
+        records = jumping(records, HALF + k * END // 6)
+    # No landmark is observed again, until the last jump of two is far behind.
+    records = [
+        replace(r, observations=tuple(replace(o, id=o.id + 1000) for o in r.observations))
+        if isinstance(r, Scan) and HALF < r.stamp <= HALF + END // 6 else r for r in records]
+    if jumps == 1:
+        records = [r for r in records if r.stamp <= HALF + END // 6]
+
+    smoother, _ = smoothed(records, team('r1'))
+    smoother.count_outliers()
+
+    local, = smoother.task().maps
+    lost = sum(len(r.observations) for r in records if isinstance(r, Scan) and (
+        HALF < r.stamp <= HALF + END // 6))
+    assert smoother.statistics.rejection_counts['r1'][RejectionReason.LOST_ROBOT] == lost > 50
+    assert smoother.statistics.observations_used['r1'] == len(local.problem.landmarks.z)
+
+
+
 @pytest.mark.parametrize('records', [ALONE, RECORDS], ids=['alone', 'team'])
 @pytest.mark.parametrize('distance', [0.0, 2.0])
 def test_after_a_jump_all_poses_are_where_they_are_without_it(records, distance):

@@ -129,6 +129,15 @@ class RobotTrajectory:
         self._smoother.adopt(
             Values(trajectory.poses, solved.points[trajectory.landmarks]), trajectory.near)
 
+    def lost_observations(self) -> list[tuple[int, int]]:
+        """Return stamp [ns] and landmark of each observation since the robot was lost."""
+        if self._lost is None:
+            return []
+        observed, ids = self._lost.problem().landmarks, [*self._lost.landmark_index]
+        return [
+            (self._lost_stamps[k], ids[j])
+            for k, j in zip(observed.pose.tolist(), observed.target.tolist())]
+
     def why_lost(self) -> str:
         """Return why a robot is still lost."""
         return (

@@ -147,7 +147,9 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         self.solution = replace(solution, maps=(*solution.maps, *kept))
 
     def count_outliers(self) -> None:
-        """Count the outliers of the final solution as rejected observations."""
+        """Count what the final solution does not use as rejected observations."""
+        for name in self.trajectories:
+            self._reject_lost(name)
         for name, outliers in self.solution.outliers.items():
             for outlier in outliers:
                 _, id_ = outlier.landmark
@@ -303,16 +305,24 @@ class TeamSmoother(TeamInput[PoseEstimate]):
     def _place(self, prior: PosePrior, observations: tuple[Observation, ...]) -> bool:
         """Restart a robot at a prior, or as lost if it is too uncertain; return if it was used."""
         trajectory = self.trajectories[prior.robot]
-        if is_too_uncertain(prior.P):
+        is_known = not is_too_uncertain(prior.P)
+        if is_known and trajectory.frame != MAP:
+            return False
+        self._reject_lost(prior.robot)
+        if is_known:
+            self.statistics.count_restart(prior.robot, 'a pose was given')
+            trajectory.place(self._stamp, prior.pose, prior.P, observations)
+            self.new_measurements += 1
+        else:
             self.statistics.count_restart(prior.robot, 'its pose is not known')
             trajectory.lose(self._stamp, observations)
-            return True
-        if trajectory.frame != MAP:
-            return False
-        self.statistics.count_restart(prior.robot, 'a pose was given')
-        trajectory.place(self._stamp, prior.pose, prior.P, observations)
-        self.new_measurements += 1
         return True
+
+    def _reject_lost(self, name: str) -> None:
+        """Count observations since a robot was lost, whose poses are in no map, as rejected."""
+        for stamp, id_ in self.trajectories[name].lost_observations():
+            self.statistics.reject_observation(
+                Rejection(name, stamp, RejectionReason.LOST_ROBOT, id_))
 
     def _reject_priors(self, priors: Iterable[PosePrior]) -> None:
         """Reject poses in ``map`` of a robot for which it is not known where that is."""
@@ -327,6 +337,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         if motion is None or motion.impossible:
             self.statistics.count_restart(
                 name, motion.impossible if motion else 'it has returned to the team')
+            self._reject_lost(name)
             trajectory.lose(self._stamp, observations)
         elif name in self._kept:
             trajectory.add(motion, observations)
