@@ -3,7 +3,7 @@
 """Checks of the stamps of CSV tables, whose rows are in the order of recording."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
 
@@ -38,7 +38,7 @@ def require_one_clock(path: Path, odometry: Iterable[Odometry]) -> None:
         of_robot = np.array(recorded)
         if fault := _unit_or_stray(np.unique(of_robot)):
             raise UserError(f'{path}, rows of {robot}: {fault}')
-        _refuse_first(path, robot, _steps_of_clock(of_robot))
+        _refuse(path, robot, _steps_of_clock(of_robot))
 
 
 def require_one_clock_of_scans(path: Path, scans: Iterable[Scan | RobotScan]) -> None:
@@ -54,7 +54,7 @@ def require_one_clock_of_scans(path: Path, scans: Iterable[Scan | RobotScan]) ->
     for robot, recorded in of_robots.items():
         if not _is_by_landmark(recorded):
             stamps = np.array([*dict.fromkeys(scan.stamp for scan in recorded)])
-            _refuse_first(path, robot, [
+            _refuse(path, robot, [
                 (before, after) for before, after in _steps_of_clock(stamps)
                 if before - after < MAX_OVERLAP * np.ptp(stamps)])
 
@@ -72,9 +72,8 @@ def _steps_of_clock(stamps: Stamps) -> list[tuple[int, int]]:
     return [(int(stamps[row - 1]), int(stamps[row])) for row in breaks(stamps)]
 
 
-def _refuse_first(path: Path, robot: str, steps: Sequence[tuple[int, int]]) -> None:
-    if steps:
-        before, after = steps[0]
+def _refuse(path: Path, robot: str, steps: Iterable[tuple[int, int]]) -> None:
+    for before, after in steps:
         raise UserError(
             f'{path}: the time of {robot} goes back by {(before - after) / NS:.3f} s at stamp_ns'
             f' {after}, to a time that has rows before: its clock was set back, or recordings'

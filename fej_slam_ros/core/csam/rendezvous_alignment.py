@@ -106,9 +106,9 @@ class RendezvousAligner:
         self, p: JointMap, q: JointMap, rendezvous: Rendezvous, attempted: Sequence[Rendezvous]
     ) -> JoinFailure | None:
         """Return a failure if a rendezvous is not in the largest set of those that agree."""
-        own = self.align(p, q, rendezvous.measurements)
-        if isinstance(own, JoinFailure):
-            # It is reported by itself, whatever the others are.
+        # Of two that disagree either may be wrong; one that fails alone is reported by itself.
+        if len(attempted) < 3 or isinstance(
+                own := self.align(p, q, rendezvous.measurements), JoinFailure):
             return None
         compared: list[Rendezvous] = []
         base_nodes: list[BaseNode] = []
@@ -123,7 +123,6 @@ class RendezvousAligner:
                 base_nodes.append(aligned[0])
                 room -= other is not rendezvous
         agreeing = [compared[k] for k in largest_agreement(base_nodes, self._rules)]
-        # Of two that disagree either may be wrong; one that fails alone is reported by itself.
         if len(compared) < 3 or rendezvous in agreeing:
             return None
         return JoinFailure(

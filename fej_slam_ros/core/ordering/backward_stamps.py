@@ -119,16 +119,16 @@ def _break(stamps: Stamps, step: float) -> int:
         if np.diff(times).max() > max(MIN_GAP * (high - low), MAX_PERIODS * step, pauses[row]):
             return row
         changes = int(np.count_nonzero(np.diff(is_later)))
-        if changes > most and _are_too_many(stamps, row, in_order, is_later, step):
+        if changes > most and _are_too_many(
+                stamps, row, in_order, times, is_later, step):
             worst, most = row, changes
     return worst
 
 
 def _are_too_many(
-    stamps: Stamps, row: int, in_order: Stamps, is_later: Flags, step: float
+    stamps: Stamps, row: int, in_order: Stamps, times: Stamps, is_later: Flags, step: float
 ) -> bool:
     """Return whether rows before and after a step back alternate, and are too many for the log."""
-    times = in_order[np.searchsorted(in_order, stamps[row]):][:len(is_later)]
     passed = _passed(times, is_later, step)
     if not passed.is_mixed:
         return False

@@ -70,15 +70,12 @@ class NearMarginal:
     def renumbered(self, before: Indices, after: Indices) -> 'NearMarginal':
         """Return that of a robot with other landmarks, both given by their indices in the map."""
         number = {index: k for k, index in enumerate(after.tolist())}
-        kept = [k for k, index in enumerate(before[self.landmarks].tolist()) if index in number]
-        states = np.r_[:3, 3 + _coordinates_of(kept)]
+        in_map = before[self.landmarks]
+        is_kept = np.isin(in_map, after)
+        states = np.r_[np.ones(3, np.bool_), is_kept.repeat(2)]
         return NearMarginal(
-            np.array([number[index] for index in before[self.landmarks[kept]].tolist()], np.intp),
+            np.array([number[index] for index in in_map[is_kept].tolist()], np.intp),
             self.P[np.ix_(states, states)])
-
-
-def _coordinates_of(points: Sequence[int]) -> Indices:
-    return (2 * np.array(points, np.intp)[:, None] + np.arange(2)).ravel()
 
 
 class NewestPose:

@@ -14,10 +14,10 @@ from fej_slam_ros.core.settings import CommonSettings
 from fej_slam_ros.ros.messages import decoded, Message, RawMessage
 from fej_slam_ros.ros.messages.cloud import BadCloudError, read_cloud
 from fej_slam_ros.ros.messages.common import from_covariance, from_quaternion, from_time
+from fej_slam_ros.ros.messages.incoming_clouds import COVARIANCE, POINT
 from fej_slam_ros.ros.topic_types import CLOUD, ODOMETRY, SENT_TOPICS, TRUE_LANDMARKS
 
-COVARIANCE_FIELDS = {'var_x', 'cov_xy', 'var_y'}
-CLOUD_FIELDS = ('x', 'y', 'id', *sorted(COVARIANCE_FIELDS))
+CLOUD_FIELDS = (*POINT, 'id', *COVARIANCE)
 
 
 @dataclass(slots=True)
@@ -119,8 +119,7 @@ class ObservationSeries(TopicSeries):
         else:
             columns = {}
         zero = np.zeros(size)
-        if not columns.keys() >= COVARIANCE_FIELDS:
-            # A covariance is used with all its fields only.
+        if not columns.keys() >= {*COVARIANCE}:
             columns['var_x'] = columns['var_y'] = zero
         x, y, var_x, var_y = (
             columns.get(name, zero).astype(float) for name in ('x', 'y', 'var_x', 'var_y'))

@@ -25,6 +25,8 @@ from fej_slam_ros.ros.messages.incoming import (
 
 #: Fields of the coordinates of an observation or landmark.
 POINT = ('x', 'y')
+#: Fields of the upper triangle of its covariance, which is known with all of them only.
+COVARIANCE = ('var_x', 'cov_xy', 'var_y')
 #: Largest coordinate of an observation [m], in the frames of the sensor and of the base.
 MAX_DISTANCE = 1e6
 #: Smallest ratio of the determinant of an observation's covariance to its squared trace; below it
@@ -132,7 +134,7 @@ def observation_faults(z: Array, R: Array) -> list[RejectionReason | None]:
 def checked_columns(cloud: PointCloud2, more: Sequence[str] = ()) -> Columns:
     """Return the columns of a cloud of landmarks, always with x, y and id, and `more` if any."""
     try:
-        columns = read_cloud(cloud, (*POINT, 'id', 'var_x', 'cov_xy', 'var_y', *more))
+        columns = read_cloud(cloud, (*POINT, 'id', *COVARIANCE, *more))
     except BadCloudError:
         raise RejectedError(RejectionReason.BAD_CLOUD) from None
     if not cloud.fields and cloud.width * cloud.height == 0:
@@ -157,7 +159,7 @@ def points_of(columns: Columns, names: Sequence[str] = POINT) -> Array:
 def covariances_of(points: Columns, sigma: tuple[float, float]) -> Array:
     """Return the covariances (m, 2, 2) in the sensor frame, diag(sigma^2) where unknown."""
     R = np.zeros((len(points['x']), 2, 2))
-    if {'var_x', 'cov_xy', 'var_y'} <= points.keys():
+    if points.keys() >= {*COVARIANCE}:
         R[:, 0, 0], R[:, 1, 1] = points['var_x'], points['var_y']
         R[:, 0, 1] = R[:, 1, 0] = points['cov_xy']
     known = R.reshape(-1, 4).any(axis=1)
