@@ -113,6 +113,8 @@ class _MapMerger:
         self.result = JoinedMaps([*maps], [], {}, [], [])
         self._rules = replace(rules, variance_factor=variance_factor(maps, rules.min_shared))
         self._aligner = RendezvousAligner(measurements, self._rules)
+        #: why maps were not joined by their landmarks, which no rendezvous changes
+        self._not_joined: dict[tuple[JointMap, JointMap], JoinFailure] = {}
 
     def apply(self, attempted: Sequence[Rendezvous]) -> list[Failed]:
         """Apply rendezvous until no more of them succeed; return those that failed."""
@@ -212,7 +214,9 @@ class _MapMerger:
                 self._aligner.contradiction(p, q, rendezvous, attempted)
                 or self._joined_by_rendezvous(p, q, rendezvous))
         else:
-            joined = self._joined_by_landmarks(shared, aligned)
+            joined = self._not_joined.get((p, q)) or self._joined_by_landmarks(shared, aligned)
+            if isinstance(joined, JoinFailure):
+                self._not_joined[p, q] = joined
         if isinstance(joined, JoinFailure):
             return joined
         self.result.maps[:] = [joined if g is p else g for g in self.result.maps if g is not q]

@@ -8,9 +8,13 @@ import numpy as np
 from numpy.testing import assert_allclose, assert_array_equal
 import pytest
 
+from fej_slam_ros.core.csam import map_merging
+from fej_slam_ros.core.csam.loop_closing import ClosedLoops
 from fej_slam_ros.core.csam.maps import JointMap, LocalMap
+from fej_slam_ros.core.csam.odometry_links import ReleasedOdometry
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.shared_landmarks import SharedLandmarks
+from fej_slam_ros.core.csam.slips import ExplainedLoops
 from fej_slam_ros.core.gauss_newton import ConvergenceError
 from fej_slam_ros.core.geometry import between
 from fej_slam_ros.core.join_failure import JoinFailure
@@ -265,19 +269,39 @@ def test_a_landmark_from_misread_ids_only_is_left_out_of_the_map_with_fewer_obse
 def test_an_attempt_to_explain_a_rendezvous_by_slip_leaves_no_landmark_observations_out(
         monkeypatch):
     team = Met(13, [(0, 1, k) for k in range(10)], landmarks=7, steps=10, shared=True)
-    contradicting, attempts = SharedLandmarks.contradicting, []
+    contradicting, slips = SharedLandmarks.contradicting, []
 
     def contradicting_later(shared, rules):
-        attempts.append(shared)
-        return contradicting(shared, rules) if len(attempts) > 1 else {}
+        return contradicting(shared, rules) if slips else {}
+
+    def slip_of_another_robot(joint, loops, rules):
+        if slips:
+            return None
+        slips.append(ReleasedOdometry('other', (), 0))
+        return ExplainedLoops(ClosedLoops(replace(joint)), *slips)
 
     # As if a slip of another robot had been found between the first attempt and the second.
     monkeypatch.setattr(SharedLandmarks, 'contradicting', contradicting_later)
+    monkeypatch.setattr(map_merging, 'explained_loops', slip_of_another_robot)
     (joint,), failed, outliers, *_ = joined_maps(
         with_misread_ids(team.maps, 'r2'), team.measurements)
 
     assert (joint.robots, failed) == (('r1', 'r2'), [])
     assert [o.pose for o in outliers['r2']] == [0, 1]
+
+
+def test_maps_are_joined_by_their_landmarks_once_however_often_the_robots_meet(monkeypatch):
+    # Ten robot-to-robot observations in ten rendezvous, more than a minute apart.
+    team = Met(13, [(0, 1, k) for k in range(10)], landmarks=7, steps=10, shared=True)
+    apart = [replace(m, stamp=100 * NS * k) for k, m in enumerate(team.measurements)]
+    compared = []
+    monkeypatch.setattr(
+        SharedLandmarks, 'contradicting', lambda shared, _: compared.append(shared) or {})
+
+    groups, failed, *_ = joined_maps(with_misread_ids(team.maps, 'r2'), apart)
+
+    assert [group.robots for group in groups] == [('r1',), ('r2',)]
+    assert len(failed) == 1 and len(compared) == 1
 
 
 def test_a_third_of_the_landmarks_cannot_be_outlying():
