@@ -3,10 +3,10 @@
 """The files of the runs of a node: no disk delays or ends a run, and what fails is logged."""
 
 from collections.abc import Callable, Iterable, Sequence
+from concurrent import futures
 from itertools import count
 from pathlib import Path
-from queue import Empty, SimpleQueue
-from threading import Event, Thread
+from threading import Thread
 from time import monotonic
 
 from rclpy.impl.rcutils_logger import RcutilsLogger
@@ -172,26 +172,25 @@ def _is_free(folder: str) -> bool:
 
 def _made_in_time(make: Callable[[], LiveFiles], folder: Path) -> LiveFiles:
     """Return the files that a thread makes; UserError if it fails or the disk keeps it waiting."""
-    results: SimpleQueue[LiveFiles | UserError] = SimpleQueue()
-    is_late = Event()
+    made: futures.Future[LiveFiles] = futures.Future()
 
     def work() -> None:
         try:
-            files = make()
-            results.put(files)
-            if is_late.is_set():
-                files.discard()
+            made.set_result(make())
         except UserError as error:
-            results.put(error)
+            made.set_exception(error)
 
     Thread(target=work, name='opening', daemon=True).start()
     try:
-        result = results.get(timeout=REQUEST_WAIT)
-    except Empty:
-        is_late.set()
+        return made.result(REQUEST_WAIT)
+    except futures.TimeoutError:
+        made.add_done_callback(_discard)
         raise UserError(
             f'cannot write to {folder}: its disk takes no data: choose a path on another disk'
         ) from None
-    if isinstance(result, UserError):
-        raise result
-    return result
+
+
+def _discard(made: futures.Future[LiveFiles]) -> None:
+    """Discard files that were made too late."""
+    if not made.exception():
+        made.result().discard()

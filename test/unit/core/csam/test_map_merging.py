@@ -274,7 +274,7 @@ def test_an_attempt_to_explain_a_rendezvous_by_slip_leaves_no_landmark_observati
     def contradicting_later(shared, rules):
         return contradicting(shared, rules) if slips else {}
 
-    def slip_of_another_robot(joint, loops, rules):
+    def slip_of_another_robot(joint, *_):
         if slips:
             return None
         slips.append(ReleasedOdometry('other', (), 0))
@@ -301,7 +301,7 @@ def test_maps_are_joined_by_their_landmarks_once_however_often_the_robots_meet(m
     groups, failed, *_ = joined_maps(with_misread_ids(team.maps, 'r2'), apart)
 
     assert [group.robots for group in groups] == [('r1',), ('r2',)]
-    assert len(failed) == 1 and len(compared) == 1
+    assert (len(failed), len(compared)) == (1, 1)
 
 
 def test_a_third_of_the_landmarks_cannot_be_outlying():
