@@ -192,9 +192,9 @@ class Estimator(TeamInput[StepResult]):
         for name in step.arrivals:
             self.groups.begin(self.robots[name], step.stamp)
         for motion in step.motions:
+            group = self.groups.of(motion.robot)
+            self._pose_priors.advance(motion, group.robots[motion.robot].stamp)
             if not self._quarantine.restart_after(motion):
-                group = self.groups.of(motion.robot)
-                self._pose_priors.advance(motion, group.robots[motion.robot].stamp)
                 group.filter.predict(motion)
         for name in step.odometry:
             # Before the scans of the step, which the former pose would contradict.
@@ -274,7 +274,8 @@ class Estimator(TeamInput[StepResult]):
         reason: RejectionReason = RejectionReason.MAP_FULL,
     ) -> list[Association]:
         """Start at most some new landmarks, and reject the others for a reason."""
-        room = room_for_landmarks(self.groups.states(), self.settings.max_landmarks)
+        room = room_for_landmarks(
+            group.state, self.groups.states(), self.settings.max_landmarks)
         if room < most:
             most, reason = room, RejectionReason.MAP_FULL
         return start_landmarks(group.filter, scan, most, reason, self.statistics)

@@ -64,11 +64,10 @@ class FrameGroup:
 
     def prior_map(self) -> PriorMap:
         """Return the confirmed landmarks with joint covariance, as the prior map of a new run."""
-        keys = self.map().keys
-        landmarks = [self.state.landmarks[key] for key in keys]
+        known = self.map()
         return PriorMap(
-            tuple(id_ for _, id_ in keys), landmark_estimates(self.state, landmarks)[0],
-            self.state.marginal(landmarks))
+            tuple(id_ for _, id_ in known.keys), known.points,
+            self.state.marginal([self.state.landmarks[key] for key in known.keys]))
 
 
 class FrameGroups:
@@ -137,8 +136,9 @@ class FrameGroups:
         """Return whether landmarks, robots or start poses in ``map`` fix it besides the anchor."""
         others = self.team.robots.keys() - {self._settings.anchor}
         return self._has_joined_robots or bool(others or self.team.state.landmarks) or any(
-            robot.start_pose is not None and not is_too_uncertain(
-                np.diag(np.square(robot.start_sigma))) for robot in self._settings.robots)
+            robot.start_pose is not None and robot.name not in self.void_starts
+            and not is_too_uncertain(np.diag(np.square(robot.start_sigma)))
+            for robot in self.robots.values())
 
     def is_map_given(self) -> bool:
         """Return whether more than the start of its anchor defines ``map``."""

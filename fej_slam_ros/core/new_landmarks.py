@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Landmarks that a scan starts: a limited number, each observation left out with a reason."""
 
-from collections.abc import Container, Iterable
+from collections.abc import Container, Sequence
 from dataclasses import replace
 
 from fej_slam_ros.core.ekf.filter import Filter
@@ -16,11 +16,21 @@ from fej_slam_ros.core.rejections import Rejection, RejectionReason
 #: Maximum number of landmarks that observations without ID of a scan start, so that the clutter of
 #: one robot, which is deleted after 20 scans, does not fill a map of the default size.
 MAX_NEW_WITHOUT_ID = 100
+#: Number of landmarks for which a frame outside ``map`` always has room, so that its robots can
+#: join: those of a few scans.
+MIN_ROOM = 50
 
 
-def room_for_landmarks(states: Iterable[JointState], limit: int) -> int:
-    """Return how many more landmarks the states may have together, up to a limit."""
-    return max(limit - sum(len(state.landmarks) for state in states), 0)
+def room_for_landmarks(state: JointState, states: Sequence[JointState], limit: int) -> int:
+    """
+    Return how many more landmarks a state may have, of those of all frames, ``map`` first.
+
+    All together have at most `limit`, but one outside ``map`` always has some by which it joins.
+
+    """
+    room = limit - sum(len(other.landmarks) for other in states)
+    reserved = 0 if state is states[0] else MIN_ROOM - len(state.landmarks)
+    return max(room, reserved, 0)
 
 
 def start_landmarks(

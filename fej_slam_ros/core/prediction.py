@@ -89,12 +89,13 @@ class PosePredictor:
         while len(self._noise) < len(self._records) - 1:
             k = len(self._noise)
             earlier, later = self._records[k:k + 2]
-            motion, self._speeds = checked_increment(earlier, later, self._speeds, settings)
+            motion, speeds = checked_increment(earlier, later, self._speeds, settings)
             if motion.impossible or is_too_uncertain(motion.Q):
                 # The next prediction starts from a settled pose at or after the later record.
                 self._drop_before(k + 1)
-                self._poses = later.pose[None]
+                self._poses, self._speeds = later.pose[None], speeds
                 continue
+            self._speeds = speeds
             begin = self._poses[k]
             G = models.G(begin[2])
             self._poses = np.concatenate([self._poses, compose(begin, motion.u)[None]])

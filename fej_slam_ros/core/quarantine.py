@@ -144,10 +144,12 @@ class Quarantine:
 
     def _restart_unjoined(self, robots: Iterable[str], stamp: int, min_landmarks: int) -> None:
         """Restart lost robots whose own maps share enough landmarks to join, and do not fit."""
-        team = self._groups.team.state.landmarks
+        team = self._groups.team
         for robot in filter(self._lost_robots.remains_unjoined, robots):
-            shared = team.keys() & self._groups.of(robot).state.landmarks.keys()
-            if len(shared) >= min_landmarks:
+            group = self._groups.of(robot)
+            shared = team.state.landmarks.keys() & group.state.landmarks.keys()
+            # A pose may just have placed it in the team.
+            if group is not team and len(shared) >= min_landmarks:
                 self._lost_robots.mark_lost(robot)
                 self.restart(
                     robot, stamp, f'its own map has {len(shared)} landmarks of the team and does'

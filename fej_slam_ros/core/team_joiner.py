@@ -7,7 +7,7 @@ Groups join at step 0, by shared landmarks and rendezvous points, or by an initi
 given for one of their robots. The joining of two frames is in :mod:`fej_slam_ros.core.joining`.
 """
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations
 
@@ -94,7 +94,8 @@ class TeamJoiner:
             state = initialize(
                 team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
                 START_COVARIANCES[self._settings.start_covariance],
-                room_for_landmarks(self._groups.states(), self._settings.max_landmarks))
+                room_for_landmarks(
+                    team.state, self._groups.states(), self._settings.max_landmarks))
         except (InitialAlignmentError, EndedError):
             state = None
         if state is not None:
@@ -216,8 +217,8 @@ class TeamJoiner:
             self._reject(failure.outlier, RejectionReason.GATED, failure.d2, OUTLIER_D2)
         else:
             for state in (group.state, other.state):
-                for key in failure.outlying_landmarks:
-                    self._remove_outlying(state, state.landmarks[key])
+                self._remove_outlying(
+                    state, [state.landmarks[key] for key in failure.outlying_landmarks])
         return failure
 
     def _join_without_ids(
@@ -252,10 +253,10 @@ class TeamJoiner:
                 newest + min(pause, MAX_PAUSE), shared, failures, failure.reason)
         return failure
 
-    def _remove_outlying(self, state: JointState, landmark: Landmark) -> None:
-        """Remove a landmark; a single observation that has started it is rejected."""
-        state.remove(landmark)
-        if not landmark.is_reobserved:
+    def _remove_outlying(self, state: JointState, landmarks: Sequence[Landmark]) -> None:
+        """Remove landmarks; single observations that have started them are rejected."""
+        state.remove_all(landmarks)
+        for landmark in (f for f in landmarks if not f.is_reobserved):
             self._statistics.reject_observation(rejected_start(landmark, RejectionReason.GATED))
 
     def _join_by_constellation(self, group: FrameGroup, other: FrameGroup) -> JoinFailure | None:

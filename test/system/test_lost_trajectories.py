@@ -62,7 +62,6 @@ def test_observations_of_poses_that_are_in_no_map_count_as_rejected(jumps):
     assert smoother.statistics.observations_used['r1'] == len(local.problem.landmarks.z)
 
 
-
 @pytest.mark.parametrize('records', [ALONE, RECORDS], ids=['alone', 'team'])
 @pytest.mark.parametrize('distance', [0.0, 2.0])
 def test_after_a_jump_all_poses_are_where_they_are_without_it(records, distance):

@@ -289,7 +289,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         self, name: str, motion: Motion | None, observations: tuple[Observation, ...]
     ) -> None:
         """Start a trajectory, or extend it by a pose prior or by odometry."""
-        if motion is not None and not motion.impossible and self._pose_priors.waiting(name):
+        if motion is not None and self._pose_priors.waiting(name):
             self._pose_priors.advance(motion, self.trajectories[name].newest().stamp)
         priors = self._pose_priors.take(name, self._stamp)
         if name not in self.trajectories:

@@ -13,8 +13,8 @@ import math
 import numpy as np
 
 from fej_slam_ros.core.ekf.filter import Filter
-from fej_slam_ros.core.ekf.state import JointState, Landmark, position_indices
-from fej_slam_ros.core.geometry import Array
+from fej_slam_ros.core.ekf.state import Landmark, position_indices
+from fej_slam_ros.core.pieces import pause
 from fej_slam_ros.core.records import NO_ID
 
 #: Likelihood ratio of one landmark to two beyond which both are merged.
@@ -31,12 +31,13 @@ def merge_duplicates(
     has a robot. Returns the ID of the remaining landmark by that of each merged one.
 
     """
-    merged: dict[int, int] = {}
     state = filter_.state
-    confirmed, positions = _confirmed(state)
+    # Of a robot's own ID only that robot's observations can be.
+    confirmed = [f for f in state.confirmed_landmarks() if not f.key[0]]
+    positions = state.estimates_of(position_indices(confirmed))
+    merged: dict[Landmark, Landmark] = {}
     for landmark in candidates:
-        is_confirmed = landmark.tentative is None and landmark.key in state.landmarks
-        if landmark.key[1] >= NO_ID or not is_confirmed or len(confirmed) < 3:
+        if landmark.key[1] >= NO_ID or landmark not in confirmed or len(confirmed) < 3:
             continue
         distances = np.hypot(*(positions - state.estimate(landmark)).T)
         _, nearest, second = np.argpartition(distances, (0, 1, 2))[:3]
@@ -48,16 +49,14 @@ def merge_duplicates(
             filter_, landmark, other, float(distances[second])
         ):
             kept, duplicate = sorted((landmark, other), key=lambda f: -f.key[1])
-            kept.distinct |= duplicate.distinct
-            filter_.merge(kept, duplicate)
-            confirmed, positions = _confirmed(state)
-            merged[duplicate.key[1]] = kept.key[1]
-    return merged
-
-
-def _confirmed(state: JointState) -> tuple[list[Landmark], Array]:
-    landmarks = state.confirmed_landmarks()
-    return landmarks, state.estimates_of(position_indices(landmarks))
+            kept.absorb(duplicate)
+            filter_.equate(kept, duplicate)
+            merged[duplicate] = kept
+            confirmed.remove(duplicate)
+            positions = state.estimates_of(position_indices(confirmed))
+            pause()
+    state.remove_all([*merged])
+    return {duplicate.key[1]: kept.key[1] for duplicate, kept in merged.items()}
 
 
 def _are_distinct(a: Landmark, b: Landmark) -> bool:

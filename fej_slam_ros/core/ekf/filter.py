@@ -333,14 +333,14 @@ class Filter:
         columns = np.append(position_indices([landmark, other]), state.most_certain_heading())
         return state.estimate(landmark) - state.estimate(other), SparseRows(columns[None], H[None])
 
-    def merge(self, landmark: Landmark, other: Landmark) -> None:
-        """Merge the other landmark into the first by an update with their difference, zero."""
+    def equate(self, landmark: Landmark, other: Landmark) -> None:
+        """Update with the difference of two landmarks, zero: they are one."""
         state, (difference, H) = self.state, self.landmark_difference(landmark, other)
-        self.submap.ensure_contains(state, H.columns, self.linearization.turns_points)
+        # After a join, which leaves no submap, many landmarks may be duplicates.
+        WHOLE_MAP.ensure_contains(state, H.columns, self.linearization.turns_points)
         update = joint_update(
             state.covariance, H, MERGE_VARIANCE * np.eye(2)[None], -difference)
         self._correct(state.x_hat, update.apply().dx)
-        state.remove(other)
 
     def keys_of(self, scan: Scan) -> list[LandmarkKey]:
         """Return the identities of the landmarks in a scan, one for each observation."""

@@ -112,8 +112,8 @@ def joint_update(
     covariance: JointCovariance, H: SparseRows, R: Array, r: Array
 ) -> JointUpdate:
     """Return the update by m observations of noise R (m, 2, 2) and residuals r (2 m,)."""
-    if len(R) <= MIN_BLOCK_OBSERVATIONS or (
-            len(R) <= min(MAX_JOINT_OBSERVATIONS, _affordable(covariance))):
+    if len(R) <= max(
+            MIN_BLOCK_OBSERVATIONS, min(MAX_JOINT_OBSERVATIONS, _affordable(covariance))):
         return UpdateAtOnce(covariance, H, R, r)
     return UpdateInBlocks(covariance, H, R, r)
 

@@ -41,7 +41,7 @@ class Landmark:
     slot: Slot
     owner: str  #: the first observer, ``''`` for a landmark of a prior map
     created: int  #: stamp of its first observation [ns], ``-sys.maxsize`` in a prior map
-    #: stamp of its latest observation that passed the gate, in the present frame
+    #: stamp of its latest observation that passed the gate
     last_accepted: int = field(init=False)
     #: evidence since then that it was moved, None without any
     moved_evidence: MovedLandmarkEvidence | None = field(default=None, init=False)
@@ -59,6 +59,12 @@ class Landmark:
     def __post_init__(self) -> None:
         self.last_accepted = self.created
         self.rotation_owner = self.rotation_owner or self.owner
+
+    def absorb(self, duplicate: 'Landmark') -> None:
+        """Take over what is known of a second variable of the same landmark, by observations."""
+        self.created = min(self.created, duplicate.created)
+        self.distinct |= duplicate.distinct
+        self.is_reobserved = True
 
     def was_moved(self) -> bool:
         """Return whether the landmark has likely been moved since it was mapped."""

@@ -10,15 +10,13 @@ contain no information about the global position and heading; that depends on th
 points, which the policy chooses.
 """
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.linalg import block_diag, cholesky, qr, solve_triangular
 
-from fej_slam_ros.core.ekf.covariance import Covariance
+from fej_slam_ros.core.ekf.covariance import Covariance, Slot
 from fej_slam_ros.core.ekf.linearization import Linearization
 from fej_slam_ros.core.ekf.matrix_product import product
-from fej_slam_ros.core.ekf.state import at_slot, JointState, Variables
+from fej_slam_ros.core.ekf.state import at_slot, JointState, Landmark, Variable, Variables
 from fej_slam_ros.core.geometry import Array, poses_plus, wrap_all
 from fej_slam_ros.core.joining.frame_fit import shared_variables, StackedVariables
 from fej_slam_ros.core.joining.rendezvous_points import marginalize
@@ -64,6 +62,8 @@ def joined_state(
     pause()
     state = _combined(team, new.variables, x_hat, x_first, np.block([
         [P_z[:n, :n], P_new[:, :n].T], [P_new[:, :n], own]]))
+    for key in team.landmarks.keys() & group.landmarks.keys():
+        state.landmarks[key].absorb(group.landmarks[key])
     before = np.concatenate([team.estimates(), carried])
     linearization.transport_errors(state, before, state.x_hat - before)
     headings = state.headings()
@@ -133,9 +133,15 @@ def _combined(
     slots = covariance.insert(P).split([v.slot.size for v in [*own, *new]])
     state = JointState([
         *(at_slot(variable, slot) for variable, slot in zip(own, slots)),
-        # Evidence on landmarks of the other frame refers to positions in that.
-        *(replace(variable, slot=slot) for variable, slot in zip(new, slots[len(own):]))],
-        x_hat, x_first, covariance)
+        *map(_brought, new, slots[len(own):])], x_hat, x_first, covariance)
     headings = state.headings()
     state.x_hat[headings] = wrap_all(state.x_hat[headings])
     return state
+
+
+def _brought(variable: Variable, slot: Slot) -> Variable:
+    """Return a variable of the other frame; evidence of a move refers to positions in that."""
+    brought = at_slot(variable, slot)
+    if isinstance(brought, Landmark):
+        brought.moved_evidence = None
+    return brought

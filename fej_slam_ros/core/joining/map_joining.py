@@ -57,8 +57,7 @@ class MapJoiner:
 
     def join(self, team: Filter, group: Filter) -> JoinFailure | None:
         """Join all variables of the group to the team; return the reason if that fails."""
-        keys = team.state.landmarks.keys() & group.state.landmarks.keys()
-        landmarks = len(keys)
+        landmarks = len(team.state.landmarks.keys() & group.state.landmarks.keys())
         points = len(team.state.rendezvous_points.keys() & group.state.rendezvous_points.keys())
         shared = counted(landmarks, 'shared landmark')
         if points:
@@ -79,8 +78,6 @@ class MapJoiner:
             _join(team, _in_frame_of(robot, group, group.state.variables()), found.pose)
         except EndedError:
             return JoinFailure('the process ended before it could join')
-        for key in keys:
-            team.state.landmarks[key].is_reobserved = True
         return None
 
     def misfits(self, team: Filter, group: Filter, most: int) -> Sequence[LandmarkKey]:

@@ -56,11 +56,17 @@ def scaled_increment(earlier: Odometry, later: Odometry, settings: RobotSettings
 def checked_increment(
     earlier: Odometry, later: Odometry, before: Speeds, settings: RobotSettings
 ) -> tuple[Motion, Speeds]:
-    """Return the motion as `scaled_increment`, checked, and the speeds before the next one."""
+    """
+    Return the motion as `scaled_increment`, checked, and the speeds before the next one.
+
+    After an impossible motion these are the ones before it, so that the return from one wrong
+    message is impossible, too.
+
+    """
     motion, dt = scaled_increment(earlier, later, settings), (later.stamp - earlier.stamp) / NS
     now = speeds(motion.u, dt)
     reason = impossible_motion(now, motion.Q, dt, later, before, settings)
-    return (replace(motion, impossible=reason), UNKNOWN_SPEEDS) if reason else (motion, now)
+    return (replace(motion, impossible=reason), before) if reason else (motion, now)
 
 
 def unknown_motion(dt: float, before: Speeds) -> tuple[Array, Array]:

@@ -40,8 +40,13 @@ class PosePriors:
         return reason if oldest is prior else None
 
     def advance(self, motion: Motion, begin: int) -> None:
-        """Move priors that were given during a motion, since its begin [ns], on to its end."""
-        waiting = self._waiting.get(motion.robot, [])
+        """
+        Move priors that were given during a motion, since its begin [ns], on to its end.
+
+        An impossible motion tells nothing of the robot, so that it leaves them where they are.
+
+        """
+        waiting = self._waiting.get(motion.robot, []) if not motion.impossible else []
         for k, prior in enumerate(waiting):
             if begin < prior.stamp < motion.stamp:
                 share = (prior.stamp - begin) / (motion.stamp - begin)

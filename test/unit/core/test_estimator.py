@@ -13,7 +13,7 @@ from fej_slam_ros.core.ekf import joint_update
 from fej_slam_ros.core.ekf.gating import ScanGateStatistics
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.ground_truth import MissingTruthError
-from fej_slam_ros.core.new_landmarks import MAX_NEW_WITHOUT_ID
+from fej_slam_ros.core.new_landmarks import MAX_NEW_WITHOUT_ID, MIN_ROOM
 from fej_slam_ros.core.pieces import between_pieces
 from fej_slam_ros.core.records import (
     NO_ID, Odometry, PosePrior, RobotScan, Scan, TrueLandmarks)
@@ -582,6 +582,49 @@ def test_a_full_map_starts_no_landmark_and_still_uses_its_own():
     assert estimator.statistics.observations_used['r1'] == 3 + 4 + 5
 
 
+def test_a_robot_outside_map_has_room_for_the_landmarks_by_which_it_joins_a_full_map():
+    estimator = Estimator(team(max_landmarks=5))
+    for ms in range(0, 500, 100):
+        # Before r2, which is where r1 is, maps in a frame of its own.
+        for name in ('r1', 'r2') if ms else ('r1',):
+            estimator.add(odometry(name, ms, (0.0, 0.0, 0.0)))
+            estimator.add(scan(name, ms, row_of(9)))
+    list(estimator.close())
+
+    assert estimator.groups.not_in_map == {}
+    # Five and, from before the join, the other four of r2.
+    assert len(estimator.landmarks()) == 9
+
+
+def test_the_room_of_a_robot_outside_map_is_limited_too():
+    estimator = Estimator(team(max_landmarks=2))
+    for name in ('r1', 'r2'):
+        estimator.add(odometry(name, 0, (0.0, 0.0, 0.0)))
+        estimator.add(scan(name, 0, row_of(2, first=0 if name == 'r1' else 100)))
+    estimator.add(odometry('r2', 100, (0.0, 0.0, 0.0)))
+    estimator.add(scan('r2', 100, row_of(MIN_ROOM + 7, first=100)))
+    list(estimator.close())
+
+    assert len(estimator.groups.of('r2').state.landmarks) == MIN_ROOM
+    assert estimator.statistics.rejection_counts['r2'] == {RejectionReason.MAP_FULL: 7}
+
+
+def test_a_pose_within_a_gap_that_cannot_be_predicted_is_rejected():
+    """Driven on by a motion of unknown heading, the robot may be anywhere around."""
+    estimator = Estimator(team(known=[('r2', (0.0, 0.0, 0.0), (0.1, 0.1, 0.1))]))
+    turning = np.diag([1e-4, 1e-4, 0.01])
+    given = PosePrior('r2', 200 * MS, np.array([5.0, 5.0, 0.0]), 0.01 * np.eye(3))
+    for ms in (0, 100, 40_100, 40_200):
+        for name in ('r1', 'r2'):
+            estimator.add(odometry(name, ms, None, turning))
+    estimator.add(given)
+    list(estimator.close())
+
+    assert [(r.robot, r.reason) for r in estimator.statistics.rejections] == [
+        ('r2', RejectionReason.DOES_NOT_FIT)]
+    assert 'r2' not in estimator.groups.team.robots
+
+
 def test_the_last_place_of_a_map_takes_all_observations_of_one_landmark():
     estimator = Estimator(team('r1', max_landmarks=1))
     for ms in (0, 100):
@@ -605,7 +648,7 @@ def test_a_scan_without_ids_starts_a_limited_number_of_landmarks():
     list(estimator.close())
 
     assert estimator.statistics.rejection_counts['r1'] == {RejectionReason.TOO_MANY_NEW: 20}
-    assert len(estimator.groups.team.state.landmarks) == 1 + MAX_NEW_WITHOUT_ID
+    assert len(estimator.groups.team.state.landmarks) == 1 + MAX_NEW_WITHOUT_ID, MIN_ROOM
 
 
 def test_landmarks_that_an_ending_process_does_not_start_are_counted():

@@ -235,6 +235,22 @@ def test_a_robot_whose_start_is_void_begins_in_its_own_frame_with_the_reason():
     assert groups.is_initialized
 
 
+@pytest.mark.parametrize('end', ['void', 'left'])
+def test_a_start_that_no_longer_counts_does_not_keep_the_anchor_from_defining_map_anew(end):
+    settings = team('r1', 'r2', known=[('r2', (1.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
+    groups = FrameGroups(settings, RecordedTruth())
+    groups.robots = {robot.name: robot for robot in settings.robots}
+    groups.begin(settings.robots[0], 5)
+
+    if end == 'void':
+        groups.void_start('r2', 'it had moved')
+    else:
+        del groups.robots['r2']
+    groups.restart('r1', 9, 'its odometry began again')
+
+    assert frames(groups) == {'map': ['r1']}
+
+
 def test_a_robot_that_is_placed_in_map_no_longer_has_a_reason_not_to_be_there():
     groups = groups_of('r1', 'r2')
 

@@ -180,3 +180,18 @@ def test_predictions_from_delayed_poses_are_consistent():
 
     # 3000 degrees of freedom: the standard deviation of the mean is sqrt(2 / 3000) = 0.026.
     assert np.mean(nees) == pytest.approx(1.0, abs=4 * 0.026)
+
+
+def test_nothing_is_predicted_over_the_return_from_one_wrong_message():
+    records = [odometry('r1', 100 * k, (0.1 * k, 0.0, 0.0)) for k in range(6)]
+    records[3] = odometry('r1', 300, (5.0, 0.0, 0.0))
+    predictor = predictor_with(records[:4])
+    assert predictor.predict(R1) is None
+
+    predictor.add(records[4])
+    predictor.settle(settled(300), records[3].pose)
+
+    assert predictor.predict(R1) is None
+    predictor.settle(settled(400), records[4].pose)
+    predictor.add(records[5])
+    assert predictor.predict(R1).stamp == 500 * MS

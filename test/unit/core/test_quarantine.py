@@ -5,6 +5,7 @@
 import numpy as np
 import pytest
 
+from fej_slam_ros.core.records import Odometry, PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import estimate
 from helpers.records import MS, odometry, robot_scan, scan
@@ -196,3 +197,19 @@ def test_the_last_robot_of_a_map_stays_in_it_however_its_heading_drifted():
 
     assert set(frames(results)) == {'map'}
     assert not estimator.statistics.relocalized
+
+
+def test_a_robot_that_was_lost_for_long_stays_where_a_pose_places_it():
+    elsewhere = [(number + 10, z) for number, z in VIEW]
+    # Observed where they are, before r2 is lost, so that its own map never fits.
+    both = [*VIEW, *[(number, (x + 30.0, y)) for number, (x, y) in elsewhere]]
+    views = [*[both] * 5, *[SHIFTED] * 3, *[elsewhere] * 200]
+    given = PosePrior('r2', 18_000 * MS, np.array([40.0, 0.0, 0.0]), 0.01 * np.eye(3))
+    records = [
+        record for record in standing(views)
+        if record.robot == 'r2' or isinstance(record, Odometry)]
+
+    _, results = estimate([*records, given])
+
+    assert frames(results)[179] != 'map'
+    assert frames(results)[180:] == ['map'] * (len(views) - 180)

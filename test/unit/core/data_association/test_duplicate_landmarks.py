@@ -7,9 +7,13 @@ import pytest
 
 from fej_slam_ros.core.data_association.duplicate_landmarks import merge_duplicates
 from fej_slam_ros.core.data_association.landmark_manager import LandmarkManager
+from fej_slam_ros.core.ekf.active_submap import AROUND_ROBOTS
+from fej_slam_ros.core.ekf.covariance import Covariance
 from fej_slam_ros.core.ekf.filter import Filter
 from fej_slam_ros.core.ekf.gating import Gate
 from fej_slam_ros.core.ekf.linearization import FirstEstimates
+from fej_slam_ros.core.ekf.state import JointState
+from fej_slam_ros.core.pieces import between_pieces
 from helpers.core import make_policy, quarter_turn, unknown_place
 from helpers.matching import a_map
 
@@ -35,7 +39,8 @@ def test_merging_conditions_on_a_zero_difference():
     K = P @ H.T @ np.linalg.inv(H @ P @ H.T)
     kept = np.delete(np.arange(11), other.slot.indices)
 
-    filter_.merge(one, other)
+    filter_.equate(one, other)
+    state.remove(other)
 
     # The pseudo-measurement has a variance of 1e-12 m^2, the landmarks one of 1e-2.
     difference = POINTS[0] - POINTS[2]
@@ -62,8 +67,8 @@ def test_merging_adds_no_information_about_the_global_pose(kind):
     known, (one, _, other, _) = coarsely_started(kind)
     unknown, (one_of_unknown, _, other_of_unknown, _) = coarsely_started(kind, unknown=sigma)
 
-    known.merge(one, other)
-    unknown.merge(one_of_unknown, other_of_unknown)
+    known.equate(one, other)
+    unknown.equate(one_of_unknown, other_of_unknown)
 
     state = unknown.state
     P, P_known = (s.marginal(s.variables()) for s in (state, known.state))
@@ -172,3 +177,34 @@ def test_landmarks_as_uncertain_as_their_spacing_are_not_merged():
     filter_, landmarks = a_filter(sigma=4.0)
 
     assert merge_duplicates(filter_, landmarks) == {}
+
+
+def test_many_duplicates_are_removed_at_the_cost_of_one_and_on_the_whole_map(monkeypatch):
+    """After a join, however large the map: each removal alone would copy the covariance."""
+    corners = 10.0 * np.stack(np.meshgrid(range(16), range(10)), axis=-1).reshape(-1, 2)
+    state, _ = a_map(np.vstack([corners, corners + 0.01]), 0.01 * np.eye(3 + 4 * len(corners)))
+    filter_ = Filter(state, FirstEstimates(), Gate(1.0), submap=AROUND_ROBOTS)
+    removed, pauses, remove_all = [], [], JointState.remove_all
+    monkeypatch.setattr(JointState, 'remove_all', lambda state, variables: (
+        removed.append(len(variables)), remove_all(state, variables)))
+
+    with between_pieces(lambda: pauses.append(1)):
+        merged = merge_duplicates(filter_, state.confirmed_landmarks())
+
+    assert len(state.landmarks) == len(merged) == len(corners)
+    assert removed == [len(corners)]
+    assert len(pauses) >= len(corners)
+    assert isinstance(state.covariance, Covariance)
+
+
+def test_a_landmark_without_id_is_not_merged_with_one_of_a_robots_own_ids():
+    """Only that robot's observations can be of its ID: others would start the landmark again."""
+    state, _ = a_map(POINTS, 0.01 * np.eye(11))
+    one, *others = state.landmarks.values()
+    one.key = 'r1', 5
+    own = JointState([*state.robots.values(), one, *others], state.x_hat, state.x_first,
+                     state.covariance)
+
+    merged = merge_duplicates(Filter(own, FirstEstimates(), Gate(1.0), False), others)
+
+    assert merged == {}

@@ -148,3 +148,31 @@ def test_evidence_on_the_landmarks_of_the_team_is_kept():
 
     kept = state.landmarks['', 0]
     assert (kept.last_accepted, kept.moved_evidence) == (77, landmark.moved_evidence)
+
+
+def test_landmarks_of_the_other_frame_keep_when_they_were_accepted_and_lose_evidence_of_a_move():
+    team, group, _ = two_maps()
+    key = next(key for key in group.landmarks if key not in team.landmarks)
+    brought = group.landmarks[key]
+    brought.last_accepted, brought.moved_evidence = 77, MovedLandmarkEvidence()
+
+    state = joined_state(team, group, fit(team, group).pose, FirstEstimates())
+
+    kept = state.landmarks[key]
+    assert (kept.last_accepted, kept.moved_evidence) == (77, None)
+    assert brought.moved_evidence is not None
+
+
+def test_a_shared_landmark_is_as_old_as_in_either_frame_and_has_been_observed_again():
+    """The age decides which landmarks confirm a pose where another one was moved."""
+    team, group, _ = two_maps()
+    for (of_team, of_group), number in zip([(9, 4), (4, 9)], range(2)):
+        team.landmarks['', number].created = of_team
+        group.landmarks['', number].created = of_group
+
+    state = joined_state(team, group, fit(team, group).pose, FirstEstimates())
+
+    assert [state.landmarks['', number].created for number in range(2)] == [4, 4]
+    shared = team.landmarks.keys() & group.landmarks.keys()
+    assert all(state.landmarks[key].is_reobserved for key in shared)
+    assert team.landmarks['', 0].created == 9

@@ -56,6 +56,19 @@ def test_the_parts_of_an_increment_share_its_displacement_and_its_covariance():
     np.testing.assert_allclose(rest[1], 0.25 * Q_TURNED, atol=ROUNDING)
 
 
+@pytest.mark.parametrize('wrong', [1.6, 5.0])
+def test_the_return_from_one_wrong_message_is_impossible_too(wrong):
+    """At 20 Hz and 1 m/s a jump of 1.3 m is: 0.15 s with the error of a stamp, at 100 m/s^2."""
+    increments = OdometryIncrements(SETTINGS)
+    for k in range(8):
+        increments.add(odometry('r1', 50 * k, (0.05 * k + (wrong if k == 3 else 0.0), 0.0, 0.0)))
+
+    motions = [increments.advance(50 * k * MS) for k in range(8)]
+
+    assert [bool(motion.impossible) for motion in motions[1:]] == [
+        False, False, True, True, False, False, False]
+
+
 @pytest.mark.parametrize('stamps', [(200, 300), (150, 200, 300), (150, 180, 200, 300)])
 def test_a_jump_is_one_impossible_motion_and_the_motion_after_it_goes_on(stamps):
     increments = OdometryIncrements(RobotSettings('r1', 1))

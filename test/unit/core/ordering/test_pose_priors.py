@@ -87,6 +87,16 @@ def test_a_prior_within_a_motion_is_moved_on_by_the_rest_of_it():
         np.testing.assert_array_equal(unmoved.P, P)
 
 
+def test_an_impossible_motion_leaves_a_prior_within_it_where_it_is():
+    priors = PosePriors(InputStatistics())
+    priors.add(PosePrior('r1', 150 * MS, np.array([1.0, 2.0, 0.0]), np.eye(3)))
+
+    priors.advance(
+        Motion('r1', 200 * MS, np.array([-30.0, 0.0, 0.0]), np.eye(3), 'it began again'), begin=0)
+
+    np.testing.assert_array_equal(priors.take('r1', 200 * MS)[0].pose, [1.0, 2.0, 0.0])
+
+
 def test_priors_that_no_odometry_has_reached_are_rejected_at_the_end():
     statistics = InputStatistics()
     priors = PosePriors(statistics)
