@@ -18,6 +18,7 @@ from fej_slam_ros.atomic_files import csv_bytes, write_all
 from fej_slam_ros.cli.arguments import add_bag_and_parameters, refuse_input_as_output
 from fej_slam_ros.cli.bag_input import matches_in, team_messages
 from fej_slam_ros.cli.topic_options import add_topic_names, names_in, node_names
+from fej_slam_ros.core.ordering.impossible_motion import UNLIMITED
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.records import Odometry, Record, RobotScan, Scan, TrueLandmarks
 from fej_slam_ros.core.rejections import RejectionReason
@@ -40,14 +41,14 @@ IN_GRAPH = (
     *IN_TABLES, 'use_odometry_covariance', 'odometry_sigma', 'landmark_sigma', 'odometry_scale',
     'odometry_turn_bias', 'observation_range_scale', 'observation_bearing_bias',
     'observation_noise_growth', 'odometry_noise_scale', 'landmark_noise_scale',
-    'robot_noise_scale')
+    'robot_noise_scale', 'max_speed', 'max_turn_rate')
 
 
 class Exported(NamedTuple):
     """An export that is not written yet."""
 
     report: list[str]  #: lines with the numbers of records
-    robots: list[str]  #: names in the order in which `convert` numbers them
+    parameters: Mapping[str, object]  #: those of a run on it, beside the given ones
     contents: Mapping[Path, bytes]  #: of its files
     obsolete: Sequence[Path] = ()  #: files of an earlier export that this one does not have
 
@@ -84,7 +85,7 @@ def run(arguments: Namespace) -> int:
         kept = {
             name: x for name, x in values.items()
             if name.rpartition('.')[2] not in arguments.applied}
-        text = parameters.dump_values(kept | _ids(settings, exported.robots))
+        text = parameters.dump_values(kept | exported.parameters)
         with postponed():
             write_all({**exported.contents, beside: text.encode()})
             for path in exported.obsolete:
@@ -112,10 +113,12 @@ def _export_graph(bag: Path, settings: RunSettings, names: TopicNames, path: Pat
         raise UserError(NO_ODOMETRY)
     text = ''.join(f'{line}\n' for line in files.written(graph))
     between_maps = len(task.measurements) - len(graph.robot_observations)
+    robots = [*conversion.by_robot(graph.names)]
     return Exported(
         [*_graph_report(graph, between_maps),
          *_rejected(team.statistics, but=[RejectionReason.GATED])],
-        [*conversion.by_robot(graph.names)], {path: text.encode()})
+        _ids(settings, robots) | {f'{name}.max_speed': UNLIMITED for name in robots},
+        {path: text.encode()})
 
 
 def _export_tables(
@@ -137,7 +140,7 @@ def _export_tables(
         *(f'{robot}: scans before time 0, not exported: {n}' for robot, n in early.items()),
         *(f'{robot}: without odometry, not exported: {n}' for robot, n in left_out.items())]
     return Exported(
-        report, [robot.name for robot in csv_tables.settings(records).robots],
+        report, _ids(settings, [robot.name for robot in csv_tables.settings(records).robots]),
         {folder / name: csv_bytes(rows) for name, rows in tables.items()},
         [folder / name for name in csv_tables.COLUMNS if name not in tables])
 

@@ -94,7 +94,7 @@ class CommonRobotSettings(NoiseSettings):
     max_speed: float = parameter(
         50.0, POSITIVE,
         'speed of odometry beyond which its driver has restarted: the robot restarts in its own'
-        ' frame', 'm/s')
+        ' frame; with 1e9 no motion of it is checked', 'm/s')
     max_turn_rate: float = parameter(
         10.0, POSITIVE, 'the same for the turn rate', 'rad/s')
 

@@ -5,20 +5,22 @@
 from collections.abc import Iterable, Iterator
 
 from fej_slam_ros.core.records import NO_ID, Observation, ObservationT, RobotObservation
+from fej_slam_ros.core.settings import Settings
 
 
 def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT, ...]]:
     """
     Yield observations as scans, of which each observes a landmark or robot once.
 
-    Files do not separate the scans of several sensors at one stamp. Without any observation there
-    is one empty scan.
+    Files do not separate the scans of several sensors at one stamp. No scan has more observations
+    than the default of `max_observations`, beyond which all would be rejected. Without any
+    observation there is one empty scan.
     """
     scan: list[ObservationT] = []
     observed: set[int | str] = set()
     for observation in observations:
         name = observed_name(observation)
-        if name in observed:
+        if name in observed or len(scan) == Settings.max_observations:
             yield tuple(scan)
             scan, observed = [], set()
         scan.append(observation)

@@ -27,8 +27,8 @@ def add_arguments(parser: ArgumentParser) -> None:
     add_paths(parser, metavar='FILE', source='the graph, a text file')
     parser.add_argument(
         '--period', metavar='SECONDS', type=number_option('--period', 1e-3, 1e3),
-        help='time between two poses of a robot, which graphs do not have (default: 0.1 s, or'
-        ' longer where a robot could not move so far in that)')
+        default=0.1, help='time between two poses of a robot, which graphs do not have (default:'
+        ' %(default)s)')
     parser.add_argument(
         '--noise', choices=files.NOISES, default='covariance',
         help='what the numbers behind a measurement of ODOMETRY and LANDMARK are; GTSAM reads them'
@@ -39,8 +39,7 @@ def convert(arguments: Namespace) -> None:
     """Write the bag and print the number of its records."""
     graph, unused = files.read(arguments.input, arguments.noise)
     try:
-        period = arguments.period or conversion.shortest_period(graph)
-        team = conversion.trajectories(graph, round(period * NS))
+        team = conversion.trajectories(graph, round(arguments.period * NS))
     except UserError as error:
         # Of what is no graph, such as a picture, each line begins with another word.
         others = ', '.join(sorted(name for name in unused if name.isprintable())[:6])
@@ -50,11 +49,11 @@ def convert(arguments: Namespace) -> None:
     records = conversion.records(graph, team, unused)
     write(
         records, conversion.settings(graph, team), arguments,
-        _report(graph, team, period, unused, records))
+        _report(graph, team, unused, records))
 
 
 def _report(
-    graph: Graph, team: conversion.Trajectories, period: float, unused: Counter[str],
+    graph: Graph, team: conversion.Trajectories, unused: Counter[str],
     records: Iterable[Record],
 ) -> Iterator[str]:
     landmarks = {edge.end for edge in graph.observations}
@@ -63,8 +62,6 @@ def _report(
         if isinstance(record, Scan):
             observations[record.robot] += len(record.observations)
     yield f'robots: {len(team.poses)}, landmarks: {len(landmarks)}'
-    if not graph.names and period != conversion.MIN_PERIOD:
-        yield f'time between two poses: {period:g} s'
     for robot, poses in team.poses.items():
         yield f'{robot}: poses: {len(poses)}, observations: {observations[robot]}'
     yield from (f'not used: {reason}: {count}' for reason, count in unused.items() if count)

@@ -110,7 +110,7 @@ def _break(stamps: Stamps, step: float) -> int:
     """Return the step back where rows before and after mix most, 0 if all are of one clock."""
     order = np.argsort(stamps, kind='stable')
     in_order = stamps[order]
-    pauses = np.maximum.accumulate(np.diff(stamps, prepend=stamps[:1].repeat(2)))  # before rows
+    pauses = np.maximum.accumulate(np.diff(stamps, prepend=stamps[:1]))  # up to rows
     worst, most = 0, -1
     for row in steps_back(stamps):
         low, high = stamps[[row, row - 1]].tolist()

@@ -27,6 +27,8 @@ RESTART_GAP, MIN_JUMP = 2.0, (0.3, 0.2)
 MAX_ACCELERATION = 100.0
 #: Error of a stamp [s]: of drivers that stamp messages when these are sent, in bursts.
 STAMP_ERROR = 0.1
+#: Value of ``max_speed`` [m/s] with which no motion is impossible: of data without time or driver.
+UNLIMITED = 1e9
 #: Number of standard deviations of its covariance that a motion may be longer.
 COVARIANCE_SIGMAS = 5.0
 
@@ -70,6 +72,8 @@ def impossible_motion(
     limits : maximum speeds of the robot
 
     """
+    if limits.max_speed >= UNLIMITED:
+        return ''
     span, (var_x, var_y, var_phi) = dt + STAMP_ERROR, Q.diagonal().tolist()
     distance = now.linear * dt - COVARIANCE_SIGMAS * math.sqrt(max(var_x + var_y, 0.0))
     turn = now.angular * dt - COVARIANCE_SIGMAS * math.sqrt(max(var_phi, 0.0))

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Order in time within one robot: from its records to its events."""
 
-from bisect import bisect_left, bisect_right, insort
+from bisect import insort
 from collections.abc import Iterable, Sequence
 from itertools import takewhile
 import sys
@@ -178,19 +178,11 @@ class RobotQueue:
             return RejectionReason.BEFORE_ODOMETRY
         if processed is not None and record.stamp <= processed:
             return self._too_late(record.stamp)
-        if self._count_at(record.stamp) + len(record.observations) > max_observations:
-            return RejectionReason.TOO_LARGE
-        return None
+        return RejectionReason.TOO_LARGE if len(record.observations) > max_observations else None
 
     def _rate_of_scans(self) -> float:
         duration = self._scans[-1].stamp - self._scans[0].stamp
         return (len(self._scans) - 1) * NS / max(duration, 1)
-
-    def _count_at(self, stamp: int) -> int:
-        """Return the number of waiting observations at a stamp."""
-        low = bisect_left(self._scans, stamp, key=lambda scan: scan.stamp)
-        high = bisect_right(self._scans, stamp, key=lambda scan: scan.stamp)
-        return _size(self._scans[low:high])
 
     def _drop(self, scans: Sequence[AnyScan]) -> None:
         if scans:

@@ -34,7 +34,8 @@ import sys
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
 from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS, ReleaseKey, RobotQueue
 from fej_slam_ros.core.pieces import must_end
-from fej_slam_ros.core.records import AnyScan, merged, NS, Odometry, RobotScan, Scan, ScanT, Step
+from fej_slam_ros.core.records import (
+    AnyScan, fingerprint, merged, NS, Odometry, RobotScan, Scan, ScanT, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.settings import CommonSettings, RobotSettings
 
@@ -287,7 +288,7 @@ class Sequencer:
             yield self._step(key.stamp, present)
 
     def _step(self, stamp: int, present: Mapping[str, RobotQueue]) -> Step:
-        taken = [found for queue in present.values() if (found := queue.take_scans(stamp))]
+        taken = [found for queue in present.values() if (found := self._take_scans(queue, stamp))]
         is_behind = self._released is not None and stamp <= self._released
         for name, queue in present.items():
             if is_behind or queue.reaches_missed_stamp():
@@ -309,6 +310,21 @@ class Sequencer:
         return Step(
             stamp, tuple(arrivals), tuple(motions), _merged_scans(Scan, taken), odometry,
             tuple([self._without_absent(present, scan) for scan in robot_scans]))
+
+    def _take_scans(self, queue: RobotQueue, stamp: int) -> Sequence[AnyScan]:
+        """Return the scans of a robot at a stamp; reject those that are too large together."""
+        scans, room = queue.take_scans(stamp), self._settings.max_observations
+        if sum(len(scan.observations) for scan in scans) <= room:
+            return scans
+        kept = []
+        # By content, so that the order of arrival has no effect.
+        for scan in sorted(scans, key=fingerprint):
+            if len(scan.observations) <= room:
+                kept.append(scan)
+                room -= len(scan.observations)
+            else:
+                self._reject(scan, RejectionReason.TOO_LARGE)
+        return kept
 
     def _without_absent(self, present: Container[str], scan: RobotScan) -> RobotScan:
         """Return a scan without observations of absent robots, which are rejected."""

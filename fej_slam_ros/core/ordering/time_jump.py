@@ -191,7 +191,7 @@ class TimeJumpDetector:
             return False
         now = max([self._time(), *self._before.values()])
         if (
-            record.stamp - now <= limit or self.jump or self._backward
+            record.stamp - now <= limit or self._backward
             or robot in self._have_paused
             or self._consumer.settings.is_future(record.stamp, received)
         ):

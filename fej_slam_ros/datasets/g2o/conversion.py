@@ -12,13 +12,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-import math
 from operator import attrgetter
 
 import numpy as np
 
 from fej_slam_ros.core.geometry import compose
-from fej_slam_ros.core.ordering.impossible_motion import MAX_ACCELERATION, STAMP_ERROR
+from fej_slam_ros.core.ordering.impossible_motion import UNLIMITED
 from fej_slam_ros.core.records import (
     MAX_ID, NS, Observation, Odometry, Record, RobotObservation, RobotScan, Scan)
 from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings
@@ -26,10 +25,8 @@ from fej_slam_ros.datasets.g2o.graph import Edge, Graph, PoseName
 from fej_slam_ros.datasets.scans import distinct, divided
 from fej_slam_ros.errors import UserError
 
-#: Stamp of the first pose of each robot without stamps [ns], and shortest time between two [s].
-LOG_START, MIN_PERIOD = NS, 0.1
-#: Limit of speeds [m/s, rad/s] of a graph without time.
-UNLIMITED = 1e9
+#: Stamp of the first pose of each robot without stamps [ns].
+LOG_START = NS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,18 +74,6 @@ def trajectories(graph: Graph, period: int) -> Trajectories:
             ' with a higher number')
     used = sum(map(len, increments.values()))
     return Trajectories(poses, increments, names, len(graph.increments) - used)
-
-
-def shortest_period(graph: Graph) -> float:
-    """
-    Return the time between two poses [s] in which a robot at rest can move as far as any edge.
-
-    Without it, the acceleration of a graph with long edges would be `impossible_motion`.
-
-    """
-    longest = max((math.hypot(*edge.z[:2]) for edge in graph.increments), default=0.0)
-    period = math.sqrt(2.0 * longest / MAX_ACCELERATION) - STAMP_ERROR
-    return max(MIN_PERIOD, math.ceil(10.0 * period) / 10.0)
 
 
 def by_robot(names: Mapping[int, PoseName]) -> dict[str, list[int]]:
@@ -151,7 +136,7 @@ def settings(graph: Graph, robots: Trajectories) -> Settings:
     Return the settings of a run in which the robots map together; the graph has all noise.
 
     The first robot with a fixed pose, else the first one, is the anchor. The measurements of a
-    graph are accepted ones, so the gate is off, and speeds are not limited.
+    graph are accepted ones, so the gate is off, and motions are not checked.
     """
     fixed = [robots.names[vertex].robot for vertex in graph.fixed if vertex in robots.names]
     anchor = [*fixed, *robots.poses][0]
@@ -159,7 +144,7 @@ def settings(graph: Graph, robots: Trajectories) -> Settings:
     x, y, phi = graph.poses[first].tolist() if first in graph.poses else ORIGIN
     return Settings(
         tuple(
-            RobotSettings(name, id_, max_speed=UNLIMITED, max_turn_rate=UNLIMITED)
+            RobotSettings(name, id_, max_speed=UNLIMITED)
             for id_, name in enumerate(robots.poses, start=1)),
         anchor=anchor, anchor_pose=(x, y, phi), gate_probability=1.0,
         shared_landmark_ids=not any(robot for keys in graph.keys.values() for robot, _ in keys))

@@ -55,9 +55,11 @@ def _true_bag(path: Path, names: TopicNames) -> tuple[RecordedTruth, int]:
     truth = RecordedTruth()
 
     def read(topic: str, message: Message) -> None:
-        truth.add(
+        reason = truth.add(
             incoming_clouds.true_landmarks(message) if topic == TRUE_LANDMARKS
             else incoming.true_pose(message, topic.partition('/')[0]))
+        if reason is not None:
+            raise incoming.RejectedError(reason)
 
     # Messages that the estimator rejects are not ground truth of the evaluation either.
     invalid = read_messages(path, {

@@ -28,7 +28,7 @@ class ThinnedPath:
 
     def add(self, stamp: int, pose: Array) -> None:
         self._skipped += 1
-        if self.poses and self._skipped < self._stride:
+        if self._skipped < self._stride:
             return
         self._skipped = 0
         self.poses.append((stamp, pose))

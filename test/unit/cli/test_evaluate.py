@@ -312,6 +312,21 @@ def test_invalid_messages_of_ground_truth_are_counted(replayed, evaluate, tmp_pa
     assert '7 invalid messages of ground truth in' in printed.out
 
 
+def test_true_poses_that_contradict_earlier_ones_of_their_stamps_are_counted(
+        replayed, evaluate, tmp_path):
+    truth = list(bags.read(BAGS / 'two_circles'))
+    r1, r2 = (
+        [m for m in truth if m.topic.endswith(f'{name}/ground_truth')] for name in ('r1', 'r2'))
+    wrong = [replace(m, topic=r1[0].topic, raw=m.raw) for m in r2[1:5]]
+    write_bag(tmp_path / 'truth', [*truth, *wrong, r1[0]])
+
+    status, report, _ = evaluate(
+        replayed / 'two_circles', '--no-plots', '--truth', tmp_path / 'truth')
+
+    # The message that is there twice contradicts nothing.
+    assert (status, report['invalid_true_messages']) == (0, 4)
+
+
 @pytest.mark.parametrize(('records', 'sentence'), [
     ([], 'no topic <robot>/ground_truth'),
     (meeting_truth(), 'covers no estimated pose (of p, q)'),

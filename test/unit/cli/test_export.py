@@ -181,7 +181,7 @@ def test_what_is_applied_to_the_data_is_left_out_of_their_parameters(tmp_path):
 
     ids = {'r1.id', 'r2.id'}
     assert left == {
-        'g2o': {'max_delay'} | ids,
+        'g2o': {'max_delay', 'r1.max_speed', 'r2.max_speed'} | ids,
         'csv': applied.keys() - {'r1.sensor_pose'} | ids}
 
 

@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Order in time across robots: which steps come out, and when; max_delay 100 ms, stale 1 s."""
 
+from itertools import permutations
+
 import numpy as np
 import pytest
 
@@ -238,6 +240,21 @@ def test_two_different_scans_at_one_stamp_are_one_step(second):
     (seen,) = steps[1].scans
     assert [s.id for s in seen.observations] == [1, *(s.id for s in second.observations)]
     assert statistics.rejected.total() == 0
+
+
+def test_scans_of_one_stamp_that_are_too_large_together_do_not_depend_on_their_order():
+    kept = set()
+    for order in permutations(range(3)):
+        sequencer, statistics = sequencer_of('r1', max_observations=10)
+        parts = [scan('r1', 50, [(10 * k + i, (1.0, 0.0)) for i in range(6)]) for k in range(3)]
+        steps = all_steps(
+            sequencer, odometry('r1', 0), *(parts[k] for k in order), odometry('r1', 400))
+        step = next(step for step in steps if step.scans)
+        kept.add(tuple(observation.id for observation in step.scans[0].observations))
+        assert rejection_counts(statistics) == {RejectionReason.TOO_LARGE: 2}
+        assert not statistics.depends_on_arrival()
+    assert len(kept) == 1
+    assert len(*kept) == 6
 
 
 def test_duplicates_are_counted_and_change_nothing():

@@ -46,15 +46,6 @@ def test_odometry_between_the_poses_is_that_of_the_edges():
         assert_allclose(covariance, Q, rtol=1e-14)
 
 
-@pytest.mark.parametrize(('longest', 'period'), [(0.5, 0.1), (2.0, 0.1), (12.0, 0.4), (40.0, 0.8)])
-def test_in_a_period_a_robot_at_rest_can_move_along_the_longest_edge(longest, period):
-    graph = Graph(increments=[step(0, 1, (0.1, 0.0, 0.0)), step(
-        1, 2, (0.6 * longest, -0.8 * longest, 3.0))])
-
-    # 1/2 a t^2 with a = 100 m/s^2 and t = 0.1 s more, the error of stamps, in tenths of a second.
-    assert conversion.shortest_period(graph) == pytest.approx(period)
-
-
 def test_chains_of_poses_are_robots_even_if_their_numbers_alternate():
     robots, _, unused = converted(Graph(increments=[
         step(0, 2), step(1, 3), step(2, 4), step(3, 5), step(0, 4)]))
