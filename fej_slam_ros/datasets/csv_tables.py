@@ -8,6 +8,7 @@ Numbers are written so that they are read back to the same bits.
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
 import csv
 from decimal import Decimal, DecimalException
 from itertools import groupby
@@ -28,7 +29,8 @@ from fej_slam_ros.core.records import (
     Scan, TrueLandmarks, TruePose)
 from fej_slam_ros.core.settings import numbered_robots, ORIGIN, Settings, Triple
 from fej_slam_ros.datasets.csv_stamps import require_one_clock, require_one_clock_of_scans
-from fej_slam_ros.datasets.file_checks import checked_landmark_id, checked_stamp, require_folder
+from fej_slam_ros.datasets.file_checks import (
+    checked_landmark_id, checked_stamp, LAST_SECOND, require_folder)
 from fej_slam_ros.datasets.scans import distinct, divided
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers, integer
@@ -248,10 +250,11 @@ def _robot_name(cells: Cells, column: str) -> str:
 
 def _from_seconds(text: str) -> int:
     """Return a time of any number of digits in nanoseconds."""
-    try:
-        return round(Decimal(text) * NS)
-    except (DecimalException, OverflowError):
-        raise ValueError(f'time is {text!r} and not a number of seconds') from None
+    with suppress(DecimalException):
+        seconds = Decimal(text)
+        if abs(seconds) <= LAST_SECOND:
+            return round(seconds * NS)
+    raise ValueError(f'time is {text!r} and not a number of seconds up to {LAST_SECOND}')
 
 
 def _odometry(cells: Cells) -> Odometry:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from fej_slam_ros.core.geometry import Array, Flags, Stamps, wrap_all
-from fej_slam_ros.core.records import NS
+from fej_slam_ros.core.records import MAX_ID, NS
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.datasets.file_checks import LAST_SECOND, require_folder
 from fej_slam_ros.datasets.mrclam.clock_evidence import ClockEvidence
@@ -95,7 +95,7 @@ def read(folder: Path) -> MrclamSet:
 
 
 def _subjects_by_code(path: Path, broken: Counter[str]) -> dict[int, int]:
-    rows = _table(path, 2, broken)
+    rows = _of_subjects(_table(path, 2, broken), path, broken)
     if not len(rows):
         raise UserError(
             f'{path} has no row of two numbers, subject and bar code, separated by spaces'
@@ -128,7 +128,7 @@ def _landmarks(folder: Path, broken: Counter[str]) -> tuple[dict[int, Array], st
     """Return true positions and the name of their file; the corrected file is preferred."""
     for name in ('Landmark_Groundtruth_fixed.dat', 'Landmark_Groundtruth.dat'):
         rows = _table(folder / name, 3, broken, max_columns=5)
-        rows = np.unique(rows, axis=0)
+        rows = np.unique(_of_subjects(rows, folder / name, broken), axis=0)
         subjects, counts = np.unique(rows[:, 0], return_counts=True)
         if len(subjects) < len(rows):
             raise UserError(
@@ -272,6 +272,14 @@ def _table(path: Path, columns: int, broken: Counter[str], *, max_columns: int =
     has_heading = path.suffix == '.csv' and bool(rows) and not rows[0]
     broken[path.name] += len(rows) - len(whole) - has_heading
     return np.array(whole).reshape(-1, columns)
+
+
+def _of_subjects(rows: Array, path: Path, broken: Counter[str]) -> Array:
+    """Return the rows that begin with a subject, and have no number beyond `MAX_ID`."""
+    subjects, are_small = rows[:, 0], (np.abs(rows) <= MAX_ID).all(axis=1)
+    valid: Array = rows[(subjects >= 0) & (subjects == subjects.round()) & are_small]
+    broken[path.name] += len(rows) - len(valid)
+    return valid
 
 
 def _numbers(line: str) -> list[float]:

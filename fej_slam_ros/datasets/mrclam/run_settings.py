@@ -9,10 +9,12 @@ The anchor is the robot whose start and observations determine the heading of th
 from collections import Counter
 from dataclasses import replace
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from fej_slam_ros.core.geometry import Array, compose, motion_to_begin, poses_at, wrap
+from fej_slam_ros.core.geometry import (
+    Array, compose, motion_to_begin, poses_at, Stamps, wrap)
 from fej_slam_ros.core.records import NS
 from fej_slam_ros.core.settings import ORIGIN, RobotSettings, Settings, Triple
 from fej_slam_ros.datasets.mrclam.conversion import (
@@ -43,8 +45,23 @@ FRAME_TIME = 10 * NS
 MAX_FRAME_TURN, MAX_FRAME_SIGMAS = 0.1, 2.0
 #: Range [m] at which the noise of a robot without observations is stated.
 TYPICAL_RANGE = 3.5
+#: Longest time [ns] that the other robots wait, each in its own frame, for that which determines
+#: the frame best.
+MAX_WAIT = 60 * NS
 #: A pose and its standard deviations.
 Start = tuple[Triple, Triple]
+
+
+class _Frame(NamedTuple):
+    """The frame of the ground truth as the start of a robot and its landmarks define it."""
+
+    is_empty: bool  #: whether the robot observes no landmark
+    begins_at_truth: bool  #: whether it begins at its first true pose, as its start is uncertain
+    has_turned: bool = False  #: whether its odometry turns away from its true heading at first
+    begin: float = math.inf  #: stamp of its first landmark [ns]
+    #: variance of its heading [rad^2]: of the start, of odometry until landmarks are observed, of
+    #: their bearings and of the angle of the camera
+    variance: float = math.inf
 
 
 def settings(
@@ -119,48 +136,60 @@ def _starts_and_anchor(
     Return the start of each robot, and the robot that determines the heading of the frame best.
 
     The latter observes landmarks, without which the others cannot join. If possible, its start is
-    known well enough to keep all of its log, and its odometry agrees with its true heading then.
+    known well enough to keep all of its log, its odometry agrees with its true heading then, and
+    the others need not wait for it.
     """
     starts = {robot: start(log, options) for robot, log in data.logs.items()}
+    frames = {
+        robot: _frame(data.logs[robot], known, _landmarks_by(data, robot, options), options)
+        for robot, known in starts.items()}
+    earliest = min(frame.begin for frame in frames.values())
 
-    def rank(robot: int) -> tuple[bool, bool, bool, float]:
-        rows = observations(data, robot, options, Counter())
-        of_landmarks = rows[~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS)]
-        known = starts[robot]
-        sigma = known[1][2] if known else math.inf
-        has_turned, variance = False, math.inf
-        if known and len(of_landmarks):
-            log = data.logs[robot]
-            has_turned = _has_turned(log, of_landmarks.stamps[0] + FRAME_TIME, options)
-            variance = _frame_variance(log, sigma, of_landmarks, options)
-        return len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA, has_turned, variance
+    def rank(robot: int) -> tuple[bool, bool, bool, bool, float]:
+        frame = frames[robot]
+        return (
+            frame.is_empty, frame.begins_at_truth, frame.has_turned,
+            frame.begin > earliest + MAX_WAIT, frame.variance)
 
     return starts, min(starts, key=rank)
 
 
-def _frame_variance(
-    log: RobotLog, start_sigma: float, of_landmarks: Series, options: ConversionOptions
-) -> float:
-    """
-    Return the variance [rad^2] of the heading of a frame that a robot's start defines.
+def _landmarks_by(data: MrclamSet, robot: int, options: ConversionOptions) -> Series:
+    """Return the observations of landmarks by a robot."""
+    rows = observations(data, robot, options, Counter())
+    return rows[~np.isin(rows.rows[:, 0], ROBOT_SUBJECTS)]
 
-    It is that of the start, of odometry until landmarks are observed, of their bearings and of
-    the camera's angle.
-    """
-    stamps = odometry_stamps(log, options)
-    begin = stamps[0]
-    if start_sigma > GOOD_HEADING_SIGMA:
+
+def _frame(
+    log: RobotLog, known: Start | None, of_landmarks: Series, options: ConversionOptions
+) -> _Frame:
+    """Return how well the start of a robot, if it is known, defines a frame."""
+    sigma = known[1][2] if known else math.inf
+    frame = _Frame(len(of_landmarks) == 0, sigma > GOOD_HEADING_SIGMA)
+    if known is None or frame.is_empty:
+        return frame
+    begin = odometry_stamps(log, options)[0]
+    if frame.begins_at_truth:
         begin = log.truth.stamps[np.searchsorted(log.truth.stamps, begin)]
-        start_sigma = float(truth_sigma(log.truth)[2])
+        sigma = float(truth_sigma(log.truth)[2])
     seen = of_landmarks.stamps[of_landmarks.stamps >= begin]
-    if not len(seen):
-        return math.inf
+    if len(seen):
+        variance = sigma ** 2 + _heading_variance(log, begin, seen, options)
+        frame = frame._replace(begin=seen[0], variance=variance)
+    return frame._replace(
+        has_turned=_has_turned(log, of_landmarks.stamps[0] + FRAME_TIME, options))
+
+
+def _heading_variance(
+    log: RobotLog, begin: int, seen: Stamps, options: ConversionOptions
+) -> float:
+    """Return the variance [rad^2] of the frame of a robot that was known at its begin [ns]."""
     count = np.searchsorted(seen, seen[0] + FRAME_TIME, 'right')
-    first, after = np.searchsorted(stamps, (begin, seen[0]))
+    first, after = np.searchsorted(odometry_stamps(log, options), (begin, seen[0]))
     driven = float(increment_variances(log, options)[first:after, 2].sum())
     bearing = options.observation_noise().landmarks.bearing
     of_camera = bearing ** 2 / count + bearing_offset(log.robot, options)[1] ** 2
-    return float(start_sigma ** 2 + driven + of_camera)
+    return float(driven + of_camera)
 
 
 def _has_turned(log: RobotLog, end: int, options: ConversionOptions) -> bool:

@@ -322,7 +322,9 @@ def test_odometry_whose_rows_have_one_time_is_refused(tmp_path):
      r"id is '2\.5' and not an integer"),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1,-2,0,0,1,0,1', 'id is -2 and not from -1'),
     ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,-1,1,0,0,1,0,1', 'its time is -1000000000 ns'),
-    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', 'its time is 30*0 ns')])
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,3e9,1,0,0,1,0,1', "time is '3e9' and not a"),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,nan,1,0,0,1,0,1', "time is 'nan' and not a"),
+    ('robot,time,id,x,y,var_x,cov_xy,var_y', 'a,1e900000,1,0,0,1,0,1', "time is '1e900000' and")])
 def test_a_column_that_is_wrong_is_named(tmp_path, head, row, reason):
     folder = write(tmp_path, odometry=ODOMETRY, landmarks=f'{head}\n{row}\n')
 

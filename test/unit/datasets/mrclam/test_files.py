@@ -247,6 +247,16 @@ def test_sparse_truth_stands_in_for_motion_capture(tmp_path, span):
     assert truth.rows.tolist() == [[1.0, 2.0, 0.5]]
 
 
+@pytest.mark.parametrize('subject', [11.5, -10, 3e9])
+def test_rows_of_bar_codes_and_landmarks_without_a_subject_are_broken(read_set, subject):
+    data = read_set(
+        Barcodes=[(7, 70), (subject, 80)],
+        Landmark_Groundtruth=[(7, 1.0, 2.0), (subject, 3.0, 4.0), (8, 1e300, 0.0)])
+
+    assert list(data.landmarks) == [7]
+    assert +data.broken_rows == {'Barcodes.dat': 1, 'Landmark_Groundtruth.dat': 2}
+
+
 def test_the_corrected_landmarks_are_preferred(read_set):
     data = read_set(Landmark_Groundtruth_fixed=[(11, 1.0, 2.0, 0.0, 0.0)])
 

@@ -48,6 +48,25 @@ def test_the_robot_whose_start_determines_the_frame_best_is_the_anchor(tmp_path)
     assert chosen == ['r1', 'r2']
 
 
+@pytest.mark.parametrize(('later', 'anchor'), [(50.0, 'r1'), (80.0, 'r2')])
+def test_a_robot_for_which_the_others_would_wait_more_than_a_minute_is_not_the_anchor(
+        tmp_path, later, anchor):
+    """Robot 1 begins later, and observes thirty times as often, which determines the frame."""
+    truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
+    at_rest = [(100.0 + k, 0.0, 0.0) for k in range(11)]
+    first = {
+        'Odometry': at_rest, 'Measurement': [(101.0 + k / 5, 7, 2.0, 0.5) for k in range(30)],
+        'Groundtruth': truth}
+    second = {**first, 'Measurement': [(101.0, 7, 2.0, 0.5)]}
+    of_both = {
+        **{f'Robot1_{k}': [(t + later, *row) for t, *row in rows] for k, rows in first.items()},
+        **{f'Robot2_{k}': rows for k, rows in second.items()}}
+
+    chosen = settings(read(write_set(tmp_path, {**STRAIGHT, **of_both})), EXACT)
+
+    assert chosen.anchor == anchor
+
+
 def test_a_robot_that_observes_no_landmark_is_not_the_anchor(tmp_path):
     truth = [(100.0 + k, 5.0, 1.0, 0.0) for k in range(11)]
     data = read(write_set(tmp_path, {
