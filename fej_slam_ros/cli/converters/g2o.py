@@ -38,15 +38,15 @@ def add_arguments(parser: ArgumentParser) -> None:
 def convert(arguments: Namespace) -> None:
     """Write the bag and print the number of its records."""
     graph, unused = files.read(arguments.input, arguments.noise)
+    # Of what is no graph, such as a picture, each line begins with another word.
+    others = ', '.join(sorted(name for name in unused if name.isprintable())[:6])
     try:
         team = conversion.trajectories(graph, round(arguments.period * NS))
+        records = conversion.records(graph, team, unused)
     except UserError as error:
-        # Of what is no graph, such as a picture, each line begins with another word.
-        others = ', '.join(sorted(name for name in unused if name.isprintable())[:6])
         raise UserError(
             f'{arguments.input}: {error}' + (f'; not used: lines of {others}' if others else '')
         ) from None
-    records = conversion.records(graph, team, unused)
     write(
         records, conversion.settings(graph, team), arguments,
         _report(graph, team, unused, records))

@@ -87,6 +87,7 @@ def by_robot(names: Mapping[int, PoseName]) -> dict[str, list[int]]:
 def records(graph: Graph, robots: Trajectories, unused: Counter[str]) -> list[Record]:
     """Return odometry and scans in the order of stamps; count what has no record by its reason."""
     unused['relative pose beside the trajectories'] += robots.unused
+    unused['FIX of no pose of a robot'] += sum(v not in robots.names for v in graph.fixed)
     result: list[Record] = []
     for robot in robots.poses:
         result += _odometry(robot, robots)

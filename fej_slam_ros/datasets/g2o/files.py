@@ -11,6 +11,7 @@ with `NAMES`.
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 import math
 from pathlib import Path
 from typing import NamedTuple
@@ -100,7 +101,8 @@ class _Reader:
             'FIX': self._fix,
             'EDGE_SE2': self._relative_pose, 'EDGE2': self._toro_edge,
             'ODOMETRY': self._isam_odometry,
-            'EDGE_SE2_XY': self._observation, 'LANDMARK': self._isam_landmark,
+            'EDGE_SE2_XY': partial(self._observation, _of_information),
+            'LANDMARK': partial(self._observation, noise.covariance),
             'BR': self._bearing_range}
 
     def read(self, line: str) -> None:
@@ -162,14 +164,9 @@ class _Reader:
         else:
             self._add_increment(words, u, R)
 
-    def _observation(self, words: list[str]) -> None:
+    def _observation(self, covariance: Callable[[Array], Array], words: list[str]) -> None:
         numbers = _numbers(words[2:], 5)
-        R = _inverse(symmetric(numbers[2:]))
-        self._add(self.graph.observations, words, numbers[:2], R)
-
-    def _isam_landmark(self, words: list[str]) -> None:
-        numbers = _numbers(words[2:], 5)
-        self._add(self.graph.observations, words, numbers[:2], self._noise.covariance(numbers[2:]))
+        self._add(self.graph.observations, words, numbers[:2], covariance(numbers[2:]))
 
     def _bearing_range(self, words: list[str]) -> None:
         beta, r, sigma_beta, sigma_r = _numbers(words[2:], 4).tolist()
@@ -189,6 +186,11 @@ def _numbers(words: list[str], count: int) -> Array:
     if len(values) != count or not all(map(math.isfinite, values)):
         raise ValueError(f'needs {count} finite numbers behind its vertices')
     return np.array(values)
+
+
+def _of_information(upper: Array) -> Array:
+    """Return the covariance of an information matrix, given by its upper triangle."""
+    return _inverse(symmetric(upper))
 
 
 def _inverse(matrix: Array) -> Array:
@@ -239,7 +241,7 @@ class IsamNoise(NamedTuple):
 
 NOISES: Mapping[str, IsamNoise] = {
     'covariance': IsamNoise(symmetric),
-    'information': IsamNoise(lambda upper: _inverse(symmetric(upper))),
+    'information': IsamNoise(_of_information),
     'square_root': IsamNoise(lambda upper: _inverse(
         upper_triangular(upper).T @ upper_triangular(upper)), is_at_begin=True),
 }

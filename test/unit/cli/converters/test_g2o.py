@@ -78,6 +78,8 @@ def test_long_edges_and_turns_of_a_graph_and_its_return_to_the_start_are_possibl
         'graph.txt: it has no odometry: relative poses in the plane are needed',
         'number; not used: lines of EDGE_SE3:QUAT, VERTEX_SE3:QUAT']),
     (['EDGE_SE2 0 1 x'], (), 1, ['graph.txt: line 1 is damaged', 'correct or remove it']),
+    ([*TWO_ROBOTS, SIGHT.format(0, 9, 3, 1), '# fej_slam LANDMARK 9 other 1'], (), 1, [
+        'graph.txt: landmark 10, which r1 observes, has no ID for it', 'these comments\n']),
     (TWO_ROBOTS, ('--period', '0'), 2, ['--period: 0 is not a number from 0.001 to 1000'])])
 def test_bad_input_ends_with_one_sentence(convert, tmp_path, lines, options, status, parts):
     assert_one_sentence(convert(lines, *options), status, *parts)
@@ -120,3 +122,9 @@ def rms_errors(run, reference):
         difference = [np.subtract(points[k], expected[k]) for k in expected]
         errors.append(np.sqrt(np.mean(np.sum(np.square(difference), axis=1))))
     return errors
+
+
+def test_a_fixed_vertex_that_is_no_pose_of_a_robot_is_reported(convert):
+    _, said, _ = convert([*TWO_ROBOTS, SIGHT.format(0, 90, 3, 1), 'FIX 0', 'FIX 90', 'FIX 77'])
+
+    assert 'not used: FIX of no pose of a robot: 2' in said
