@@ -740,3 +740,34 @@ def test_a_robot_that_step_0_restarts_maps_at_once_whatever_its_former_pose_cont
     mapped = {landmark for _, landmark in estimator.groups.of('r2').state.landmarks}
     assert mapped == {landmark + 20 for landmark in points}
     assert estimator.statistics.total(RejectionReason.LOST_ROBOT) == 0
+
+
+def test_the_nis_of_a_robot_that_returns_to_the_team_goes_on():
+    options = team()
+    estimator = Estimator(options)
+    for ms in (0, 100):
+        for name in ('r1', 'r2'):
+            estimator.add(odometry(name, ms, (0.0, 0.0, 0.0)))
+            estimator.add(scan(name, ms, BY_ANCHOR))
+    list(estimator.close())
+    dof = estimator.innovations.nis['r2'].dof
+
+    estimator.change_team(options.robots[:1])
+    estimator.change_team(options.robots)
+
+    assert dof > 0
+    assert estimator.innovations.nis['r2'].dof == dof
+
+
+def test_a_robot_that_step_0_leaves_as_uncertain_as_the_anchor_stays_in_map():
+    options = team(
+        known=[('r2', R2_POSE, (5.0, 5.0, 1.0))], anchor_pose=ANCHOR_POSE,
+        anchor_sigma=(0.1, 0.1, 1.0))
+
+    estimator, results = run(
+        options, *both(0), scan('r1', 0, BY_ANCHOR), scan('r2', 0, BY_R2))
+
+    # Beyond the 0.3 rad that are linearised.
+    assert estimator.pose('r2').P[2, 2] > 0.3**2
+    assert frames_of('r2', results) == {0: 'map'}
+    assert not estimator.statistics.restart_reasons

@@ -292,3 +292,35 @@ def test_an_anchor_that_comes_after_a_robot_was_placed_in_map_begins_at_its_pose
 
     assert groups.team.state.estimate(groups.team.robots['r1']).tolist() == [1.0, 2.0, 0.5]
     assert not groups.is_initialized
+
+
+def test_a_robot_that_left_before_its_first_odometry_still_has_its_start_pose():
+    settings = team('r1', 'r2', known=[('r2', (1.0, 2.0, 0.5), (0.1, 0.1, 0.1))])
+    groups = FrameGroups(settings, RecordedTruth())
+    groups.robots = {robot.name: robot for robot in settings.robots}
+    groups.leave('r2')
+
+    groups.begin(groups.robots['r2'], 9)
+
+    assert groups.team.state.estimate(groups.team.robots['r2']).tolist() == [1.0, 2.0, 0.5]
+
+
+def test_a_motion_before_the_first_odometry_is_used_once():
+    groups = FrameGroups(team('r1'), RecordedTruth())
+    groups.robots = {robot.name: robot for robot in team('r1').robots}
+    groups.start_after('r1', np.array([3.0, 0.0, 0.5]), 0.01 * np.eye(3))
+    groups.begin(groups.robots['r1'], 5)
+
+    groups.restart('r1', 9, 'its odometry began again')
+
+    assert groups.team.state.estimate(groups.team.robots['r1']).tolist() == [0.0, 0.0, 0.0]
+
+
+def test_a_lost_anchor_does_not_define_map_anew_for_a_robot_that_had_joined_it():
+    groups = groups_of('r1', 'r2')
+    groups.merge(groups.team, groups.of('r2'))
+    groups.leave('r2')
+
+    groups.restart('r1', 9, 'lost')
+
+    assert frames(groups) == {'map': [], 'r1/map': ['r1']}

@@ -213,3 +213,38 @@ def test_a_robot_that_was_lost_for_long_stays_where_a_pose_places_it():
 
     assert frames(results)[179] != 'map'
     assert frames(results)[180:] == ['map'] * (len(views) - 180)
+
+
+def test_a_robot_that_may_be_lost_maps_at_once_from_a_pose_that_is_given():
+    given = PosePrior('r2', 700 * MS, np.array([20.0, 0.0, 0.0]), 0.01 * np.eye(3))
+
+    estimator, results = estimate([given, *standing([*[VIEW] * 5, *[SHIFTED] * 2, [NEW]])])
+
+    assert set(frames(results)) == {'map'}
+    assert estimator.statistics.rejection_counts['r2'] == {
+        RejectionReason.GATED: 2 * len(SHIFTED)}
+    assert 9 in estimator.groups.team.prior_map().ids
+
+
+def test_a_robot_that_others_observe_elsewhere_restarts_though_it_observes_nothing():
+    names = ['r1', 'r2', 'r3', 'r4']
+    records = [
+        record for ms in range(0, 1000, 100) for name in names for record in (
+            odometry(name, ms, (0.0, 0.0, 0.0), AT_REST),
+            *([scan(name, ms, VIEW)] if ms < 500 else []),
+            *([robot_scan(name, ms, [('r2', (3.0, 0.0))])] if ms >= 500 and name != 'r2' else []))]
+
+    estimator, _ = estimate(records, names)
+
+    assert estimator.statistics.restart_reasons == {
+        'r2': '9 observations by and of it in a row failed the gate'}
+
+
+def test_a_landmark_that_a_robot_has_mapped_from_a_wrong_pose_is_removed_when_it_restarts():
+    seen_by_others = [robot_scan('r1', 100 * k, [('r2', (3.0, 0.0))]) for k in range(5, 15)]
+
+    estimator, _ = estimate([*standing([*[VIEW] * 5, *[[NEW]] * 10]), *seen_by_others])
+
+    assert estimator.statistics.restart_reasons == {
+        'r2': '9 observations of it in a row contradict its pose'}
+    assert estimator.groups.team.prior_map().ids == tuple(k for k, _ in VIEW)

@@ -398,3 +398,44 @@ def test_a_pose_of_a_robot_that_joined_at_the_same_step_is_rejected(joining):
     joining.joiner.apply_pose_priors('r1', 7)
 
     assert joining.statistics.total(RejectionReason.ALREADY_LOCATED) == 1
+
+
+def test_the_time_between_attempts_grows_with_the_cube_of_the_number_of_landmarks(
+        joining, monkeypatch):
+    for robot in ('r1', 'r2'):
+        joining.observe_landmarks(robot, np.random.default_rng(1).uniform(-20.0, 20.0, (100, 2)))
+    times, failed = [], JoinFailure('do not fit')
+    monkeypatch.setattr(MapJoiner, 'join', lambda *args: times.append(stamp) or failed)
+
+    for stamp in range(NS, 2 * NS, NS // 16):
+        joining.groups.of('r2').robots['r2'].stamp = stamp
+        joining.joiner.join({})
+
+    # An eighth of the second of 200 landmarks, then two and three eighths.
+    assert (np.diff(times) / NS).tolist() == [0.125, 0.25, 0.375]
+
+
+def test_joins_of_any_number_of_landmarks_are_attempted_each_minute(joining, monkeypatch):
+    for robot in ('r1', 'r2'):
+        joining.observe_landmarks(robot, np.random.default_rng(1).uniform(-20.0, 20.0, (800, 2)))
+    times, failed = [], JoinFailure('do not fit')
+    monkeypatch.setattr(MapJoiner, 'join', lambda *args: times.append(stamp) or failed)
+
+    for stamp in range(NS, 150 * NS, 5 * NS):
+        joining.groups.of('r2').robots['r2'].stamp = stamp
+        joining.joiner.join({})
+
+    assert (np.diff(times) // NS).tolist() == [60, 60]
+
+
+def test_other_conditions_of_joining_are_tried_at_once(joining, monkeypatch):
+    for robot in ('r1', 'r2'):
+        joining.observe_landmarks(robot, np.random.default_rng(1).uniform(-20.0, 20.0, (200, 2)))
+    made, failed = [], JoinFailure('do not fit')
+    monkeypatch.setattr(MapJoiner, 'join', lambda *args: made.append(1) or failed)
+    joining.joiner.join({})
+
+    joining.joiner.change_settings(team('r1', 'r2', join_probability=0.9999))
+    joining.joiner.join({})
+
+    assert len(made) == 2

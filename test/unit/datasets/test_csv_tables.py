@@ -431,3 +431,24 @@ def test_a_scan_without_observations_stays_a_scan(tmp_path):
         landmarks='robot,stamp_ns,id,x,y,var_x,cov_xy,var_y\na,5,,,,,,\n'), Counter())
 
     assert [(type(r), r.observations) for r in records[1:]] == [(Scan, ())]
+
+
+def test_two_drives_of_equal_length_on_two_days_have_no_stray_stamps(tmp_path):
+    stamps = [day * 86_400 * NS + k * NS for day in (0, 2) for k in range(5)]
+    rows = ''.join(f'a,{stamp},0,0,0\n' for stamp in stamps)
+    folder = write(tmp_path, odometry=f'robot,stamp_ns,x,y,yaw\n{rows}')
+
+    records = csv_tables.read(folder, Counter())
+
+    assert [r.stamp for r in records] == stamps
+
+
+@pytest.mark.parametrize('stamp', ['stamp_ns,5000000000', 'time,5'])
+def test_a_row_that_ends_after_its_stamp_is_an_empty_scan(tmp_path, stamp):
+    column, value = stamp.split(',')
+    folder = write(
+        tmp_path, odometry=ODOMETRY, landmarks=f'robot,{column},id,x,y\na,{value}\n')
+
+    records = csv_tables.read(folder, Counter())
+
+    assert [(r.stamp, r.observations) for r in records if isinstance(r, Scan)] == [(5 * NS, ())]

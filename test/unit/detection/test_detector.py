@@ -161,3 +161,22 @@ def test_a_stamp_far_ahead_and_time_that_jumps_back_cost_no_later_scan(ahead):
     assert (stream.scans, len(found)) == (60, 60)
     assert stream.restarts == (2 if ahead else 1)
     assert stream.without_odometry <= 1
+
+
+@pytest.mark.parametrize(('back', 'restarts'), [(0.9, 0), (1.1, 1)])
+def test_odometry_begins_again_if_it_goes_back_by_more_than_a_second(back, restarts):
+    stream = detector()
+    for seconds in (9.8, 10.0, 10.0 - back):
+        stream.add_odometry(Odometry('r1', round(seconds * NS), np.zeros(3), None))
+
+    assert (stream.restarts, stream.late_odometry) == (restarts, 1 - restarts)
+
+
+def test_scans_that_wait_when_time_jumps_back_count_as_lost():
+    stream, scan = detector(), scan_of(POSTS)
+    for k in range(3):
+        stream.add_scan(StampedScan(10 * NS + k * NS // 10, scan, np.zeros(3)))
+
+    stream.add_scan(StampedScan(0, scan, np.zeros(3)))
+
+    assert (stream.restarts, stream.lost, stream.waiting) == (1, 3, 1)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fej_slam_ros.core.calibration.systematic_errors import errors_by_truth
+from fej_slam_ros.core.calibration.systematic_errors import (
+    errors_by_truth, SystematicErrors, with_errors_by_landmarks)
 from fej_slam_ros.core.records import TruePose
 from fej_slam_ros.core.settings import RobotSettings, Settings
 from helpers.wrong_odometry import run
@@ -62,3 +63,21 @@ def test_without_the_direction_of_travel_a_bearing_bias_is_not_known():
 
     assert bearing(found)[::2] == (0.0, False)
     assert not found.odometry_by_truth
+
+
+def test_a_wrong_scale_of_distances_may_be_one_of_ranges_instead():
+    odometry, scans, _ = run(seconds=150.0)
+    short = [
+        replace(scan, observations=tuple(
+            replace(o, z=0.9 * o.z) for o in scan.observations)) for scan in scans]
+    records = [(r, r.stamp) for r in sorted([*odometry, *short], key=lambda r: r.stamp)]
+    found = with_errors_by_landmarks(SystematicErrors(), records, SETTINGS)
+    assert found.odometry_by_landmarks['r'].values[0] == pytest.approx(0.9, abs=0.01)
+
+    other = found.with_error_of_ranges('r')
+
+    assert other.odometry_by_landmarks['r'].values[0] == 1.0
+    scale, sigma = (
+        getattr(other.observations_by_landmarks['r'], name)[0] for name in ('values', 'sigma'))
+    assert abs(scale - 1.0 / 0.9) < 4.0 * sigma
+    assert sigma < 0.01

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 import pytest
 
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
-from fej_slam_ros.core.records import Motion
+from fej_slam_ros.core.records import Motion, Observation
 
 Q = 1e-6 * np.eye(3)
 
@@ -35,3 +35,13 @@ def test_the_covariance_of_the_last_keyframe_is_added_twice_to_that_of_a_given_p
     # Phi = [1 0 -5; 0 1 0; 0 0 1] takes the error of the keyframe 5 m to the left of it.
     carried = np.array([[0.04 + 25.0 * 0.01, 0.0, -0.05], [0.0, 0.09, 0.0], [-0.05, 0.0, 0.01]])
     assert_allclose(trajectory.newest().P, P + 2.0 * carried, atol=1e-12)
+
+
+def test_an_observation_since_a_robot_was_lost_has_the_stamp_of_its_pose():
+    trajectory = RobotTrajectory('r1', 0, (), 100)
+    first, second = (Observation(id_, np.array([2.0, 1.0]), np.eye(2)) for id_ in (7, 8))
+
+    trajectory.lose(1, (first,))
+    trajectory.add(Motion('r1', 2, np.array([1.0, 0.0, 0.0]), Q), (first, second))
+
+    assert trajectory.lost_observations() == [(1, 7), (2, 7), (2, 8)]

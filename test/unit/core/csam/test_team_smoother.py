@@ -355,3 +355,66 @@ def test_the_hash_depends_on_the_solution_only():
         for r in RECORDS]
 
     assert first.state_hash() == again.state_hash() != smoothed(other)[0].state_hash()
+
+
+VIEW = [(1, (5.0, 1.0)), (2, (4.0, -3.0)), (3, (-2.0, 3.0)), (4, (3.0, 4.0))]
+
+
+def stand(smoother, first, views, x=0.0):
+    """Let r1 and r2 stand and see views, at 10 Hz from a step on; odometry of r2 is at x."""
+    for k, view in enumerate(views, start=first):
+        for robot, at in (('r1', 0.0), ('r2', x)):
+            smoother.add(odometry(robot, 100 * k, (at, 0.0, 0.0)))
+            smoother.add(scan(robot, 100 * k, view))
+    list(smoother.release())
+
+
+@pytest.fixture
+def in_map():
+    """Return a smoother of two robots that stand in ``map`` and have seen it five times."""
+    smoother = TeamSmoother(team())
+    stand(smoother, 0, [VIEW] * 5)
+    smoother.adopt(solve(smoother.task()))
+    return smoother
+
+
+def given_pose(ms):
+    return PosePrior('r2', ms * MS, np.zeros(3), 0.01 * np.eye(3))
+
+
+def test_a_given_pose_is_a_new_measurement(in_map):
+    in_map.add(given_pose(500))
+    stand(in_map, 5, [VIEW])
+
+    assert in_map.new_measurements == 1
+
+
+def test_all_poses_that_are_due_at_a_step_count_as_used(in_map):
+    for ms in (460, 500):
+        in_map.add(given_pose(ms))
+    stand(in_map, 5, [VIEW])
+
+    assert in_map.statistics.pose_priors_used == {'r2': 2}
+    assert in_map.statistics.rejection_counts['r2'] == {}
+
+
+def test_a_robot_that_is_found_by_its_landmarks_is_a_new_measurement(in_map):
+    # An impossible motion, after which it sees nothing.
+    stand(in_map, 5, [[]] * 2, x=400.0)
+    assert in_map.trajectories['r2'].is_lost
+    assert in_map.new_measurements == 0
+
+    stand(in_map, 7, [VIEW], x=400.0)
+
+    assert not in_map.trajectories['r2'].is_lost
+    assert in_map.new_measurements == 1
+
+
+def test_what_a_lost_robot_has_observed_until_its_pose_is_given_counts_as_rejected(in_map):
+    stand(in_map, 5, [[(9, (1.0, 1.0))]] * 2, x=400.0)
+    in_map.add(given_pose(700))
+    stand(in_map, 7, [VIEW], x=400.0)
+    in_map.count_outliers()
+
+    assert in_map.statistics.rejection_counts['r2'] == {
+        RejectionReason.IMPOSSIBLE_MOTION: 1, RejectionReason.LOST_ROBOT: 2}

@@ -10,7 +10,10 @@ import pytest
 from fej_slam_ros.core.calibration.innovation_windows import InnovationWindows
 from fej_slam_ros.core.data_association.failure_detection import (
     LostRobotDetector, ScanMatchStatistics)
-from fej_slam_ros.core.ekf.gating import ScanGateStatistics
+from fej_slam_ros.core.ekf.covariance import Slot
+from fej_slam_ros.core.ekf.filter import Innovation
+from fej_slam_ros.core.ekf.gating import Association, GatedObservation, ScanGateStatistics
+from fej_slam_ros.core.ekf.state import Landmark, Robot
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.geometry import between, compose
 from fej_slam_ros.core.records import NS, Odometry, TruePose
@@ -324,3 +327,27 @@ def test_failure_evidence_survives_a_checkpoint(kidnapping):
     assert expected.statistics.total(RejectionReason.MOVED_LANDMARK) > 0
     assert estimator.state_hash() == expected.state_hash()
     assert estimator.statistics.rejection_counts == expected.statistics.rejection_counts
+
+
+def test_inconclusive_scans_count_from_the_last_one_that_failed():
+    lost = LostRobotDetector()
+    for _ in range(2):
+        lost.add({'r1': ScanGateStatistics(known=4, failed=4)})
+        for _ in range(9):
+            lost.add_inconclusive('r1')
+
+    assert lost.is_suspected('r1')
+
+
+def test_observations_that_failed_do_not_concern_the_pose_of_a_robot_that_restarts():
+    lost, robot = LostRobotDetector(), Robot('r1', Slot(0, 3), 0)
+    for k in (0, 1, 0):
+        association = Association(robot, Landmark(('', k), Slot(0, 2), 'r2', 0), None)
+        lost.rejections.add(
+            Innovation((), np.empty(0), [GatedObservation(association, 20.0, 13.8, np.inf)]),
+            {'r1': ScanGateStatistics(known=1, gated=1)})
+    assert lost.rejections.count('r1') == 3
+
+    lost.begin_frame('r1')
+
+    assert lost.rejections.count('r1') == 0

@@ -236,3 +236,51 @@ def test_single_rows_written_late_all_over_a_log_are_no_break(period, share, fur
     # Nor do they hide a clock that is set back: it is found next to late rows.
     stamps[1000:] -= 5000 * MS
     assert any(abs(row - 1000) <= 50 for row in breaks(stamps[places.argsort()]))
+
+
+@pytest.mark.parametrize(('cycles', 'further'), [(2, 2500), (3, 2500), (4, 0)])
+def test_a_clock_that_is_set_back_is_a_break_of_a_log_with_regular_pauses(cycles, further):
+    # Rows for 5 s of each 15 s: both sides of the break have far fewer than without pauses.
+    stamps = np.concatenate([
+        regular(begin, begin + 5000, period=100) for begin in range(0, 300_000, 15_000)])
+    row = len(stamps) // 2
+    stamps[row:] -= (15_000 * cycles + further) * MS
+
+    assert breaks(stamps) == [row]
+
+
+@pytest.mark.parametrize(('first', 'late'), [(101, 10), (50, 40)])
+def test_rows_written_late_are_no_break_of_a_log_that_is_often_faster(first, late):
+    # 20 Hz for 2 s of each 10 s, else 5 Hz.
+    stamps = np.concatenate([
+        regular(begin + start, begin + end, period) for begin in range(0, 60_000, 10_000)
+        for start, end, period in ((0, 2000, 50), (2000, 10_000, 200))])
+    stamps[first:first + 2 * late] = np.roll(stamps[first:first + 2 * late], late)
+
+    assert len(steps_back(stamps)) >= 1
+    assert breaks(stamps) == []
+
+
+@pytest.mark.parametrize(('period', 'lost'), [(50, 0.2), (200, 0.4)])
+def test_a_clock_that_is_set_back_is_a_break_of_a_log_that_lost_rows(period, lost):
+    before, after = regular(0, 20_000, period), regular(19_500, 40_000, period)
+    is_kept = np.random.default_rng(0).random(len(before) + len(after)) > lost
+
+    stamps = np.concatenate([before, after])[is_kept]
+
+    assert breaks(stamps) == [np.count_nonzero(is_kept[:len(before)])]
+
+
+def test_a_log_of_one_row_before_one_of_an_earlier_time_is_a_break():
+    assert breaks(np.array([3_600_000, 20_000, 20_100]) * MS) == [1]
+
+
+def test_pauses_below_a_tenth_of_a_second_do_not_keep_blocks_in_the_wrong_order():
+    # Bursts of ten rows in 50 ms, with pauses of 60 ms.
+    stamps = np.concatenate([np.arange(begin, begin + 50, 5) for begin in range(0, 11_000, 105)])
+    order = np.arange(len(stamps))
+    order[400:460] = np.roll(order[400:460], 30)
+
+    recorded = order[recorded_order(stamps[order] * MS)]
+
+    np.testing.assert_array_equal(recorded, np.arange(len(stamps)))

@@ -536,3 +536,31 @@ def test_a_waiting_observation_of_a_robot_that_leaves_is_rejected_with_its_name(
         [], [0], []]
     assert [(r.reason, r.observed) for r in statistics.rejections if r.robot == 'r1'] == [
         (RejectionReason.OTHER_ROBOT_STALE, 'r2')]
+
+
+def test_a_scan_is_released_when_other_robots_have_passed_it_by_more_than_max_delay():
+    sequencer, _ = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r2', 0), scan('r1', 50))
+
+    assert stamps(fed(
+        sequencer, odometry('r1', 100), odometry('r1', 400), odometry('r2', 150))) == [0]
+    assert stamps(fed(sequencer, odometry('r2', 150 + A_NANOSECOND))) == [50]
+
+
+def test_a_scan_before_the_step_that_another_robot_delays_does_not_wait_for_it():
+    sequencer, _ = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r2', 0))
+    # r2 delays the step at 200 ms, and has passed 120 ms by more than max_delay.
+    fed(sequencer, *(odometry('r1', ms) for ms in (200, 400, 600)), odometry('r2', 290))
+
+    assert stamps(fed(sequencer, scan('r1', 120))) == [120]
+
+
+def test_late_data_of_a_stale_robot_wait_for_more_of_it_for_stale_after():
+    sequencer, _ = sequencer_of('r1', 'r2')
+    fed(sequencer, odometry('r1', 0), odometry('r2', 0), odometry('r1', 3000))
+
+    held = fed(sequencer, odometry('r2', 200), odometry('r1', 4000))
+
+    assert 200 not in stamps(held)
+    assert 200 in stamps(fed(sequencer, odometry('r1', 4000 + A_NANOSECOND)))

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.core.ordering import time_jump
-from fej_slam_ros.core.ordering.time_jump import MAX_WAIT_FOR_OTHERS, MIN_RETURN_RECORDS
+from fej_slam_ros.core.ordering.time_jump import (
+    BackwardOdometry, MAX_WAIT_FOR_OTHERS, MIN_RETURN_RECORDS)
 from fej_slam_ros.core.records import NS, PosePrior
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.session import simulation
@@ -425,3 +426,38 @@ def test_held_scans_have_a_limited_number_of_observations(monkeypatch):
 
     # Two scans are held, the older ones are late.
     assert counts(run) == {'late': 4}
+
+
+def test_held_scans_always_include_the_newest_one(monkeypatch):
+    monkeypatch.setattr(time_jump, 'MAX_HELD_OBSERVATIONS', 3)
+    run = EstimatorSession(run_settings(), None)
+    feed(run, PASS)
+
+    crowd = scan('r1', 500, [(number, (1.0, 0.0)) for number in range(4)])
+    run.receive(replace(raw_record(crowd), received=5000 * MS))
+
+    assert counts(run) == {}
+    assert len(run.inputs.time_jump_detector.held) == 1
+
+
+@pytest.mark.parametrize('stray', [-20, 20])
+def test_odometry_far_from_that_before_it_begins_the_records_in_order_anew(stray):
+    backward = BackwardOdometry(begin=1000 * NS)
+    for second in (100, 101, 100 + stray):
+        backward.add(second * NS, longest_gap=2 * NS)
+
+    assert (backward.first, backward.last, backward.count) == (
+        (100 + stray) * NS, (100 + stray) * NS, 1)
+
+
+def test_stamps_before_a_checkpoint_of_a_robot_that_left_hide_no_stamp_ahead():
+    run = EstimatorSession(run_settings(), None)
+    detector = run.inputs.time_jump_detector
+    detector.resume({
+        'held': [], 'ahead': [], 'have_paused': [], 'newest': {'r1': 0, 'r2': 1000 * NS}})
+    run.change_team(['r1'])
+    feed(run, [raw_record(odometry('r1', 100))])
+
+    feed(run, [raw_record(odometry('r1', 500_000))])
+
+    assert [record.stamp for record, _ in detector.snapshot()['ahead']] == [500 * NS]

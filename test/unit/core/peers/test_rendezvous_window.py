@@ -264,3 +264,57 @@ def test_robots_that_observe_each_other_only_at_their_start_are_aligned():
 
     # Observations without errors.
     assert_allclose(alignment.base_node.pose, [-1.0, 2.0, -np.pi / 2.0], atol=1e-9)
+
+
+def window_of(odometry, seen, **changes):
+    """Return the information of p with odometry and observations of q at times in seconds."""
+    robot = Robot('p', replace(team_settings(['p', 'q'], shared=False), **changes))
+    for second in odometry:
+        robot.logs.record(
+            Odometry('p', second * NS, np.array([second, 0.0, 0.0]), 1e-4 * np.eye(3)))
+    observation = RobotObservation('q', np.array([2.0, 1.0]), 1e-4 * np.eye(2))
+    for second in seen:
+        robot.logs.record(RobotScan('p', second * NS, (observation,)))
+    robot.share_rendezvous('q')
+    return read(b''.join(robot.logs.logs[LogName('p', 'q')].blocks), 'p', 'q')
+
+
+@pytest.mark.parametrize(('odometry', 'seen', 'sent'), [
+    pytest.param(range(60), [5, 6, 40, 41], [40, 41], id='the last rendezvous'),
+    pytest.param(range(10), [5, 30], [5], id='up to the newest odometry'),
+    pytest.param(range(3, 10), [1, 5], [5], id='from the first odometry'),
+    pytest.param(range(10), range(10), [0, 1, 3, 4, 5, 6, 8, 9], id='eight spread over it')])
+def test_observations_of_the_last_rendezvous_at_known_poses_are_sent(odometry, seen, sent):
+    window = window_of(odometry, seen)
+
+    assert [scan.stamp // NS for scan in window.scans] == sent
+    assert {*window.stamps} >= {scan.stamp for scan in window.scans}
+
+
+def test_poses_of_a_rendezvous_are_in_the_information_however_seldom_keyframes_are():
+    window = window_of(range(10), [2, 4, 6], keyframe_distance=100.0)
+
+    assert {stamp // NS for stamp in window.stamps} >= {2, 4, 6}
+
+
+@pytest.mark.parametrize(('middle', 'start'), [(2, 0), (0, 2)])
+def test_information_about_a_pose_that_it_does_not_have_is_rejected(middle, start):
+    information = RendezvousInformation(
+        np.zeros((2, 3)), middle, start, np.zeros(3), np.eye(3))
+    message = write(WindowInformation((0, 1), information, ()))
+
+    with pytest.raises(BadBlockError):
+        read(message, 'p', 'q')
+
+
+@pytest.mark.parametrize('count', [8, 9])
+def test_information_has_at_most_eight_observations(count):
+    scan = RobotScan('p', 0, (RobotObservation('q', np.ones(2), np.eye(2)),))
+    information = RendezvousInformation(np.zeros((1, 3)), 0, 0, np.zeros(3), np.empty((0, 0)))
+    message = write(WindowInformation((0,), information, (scan,) * count))
+
+    if count == 8:
+        assert len(read(message, 'p', 'q').scans) == 8
+    else:
+        with pytest.raises(BadBlockError, match='too many observations'):
+            read(message, 'p', 'q')

@@ -271,3 +271,58 @@ def test_a_restarted_robot_continues_its_run():
         team_logs.contents('q').measurements() for team_logs in (logs, restarted))
     assert contents(known) == contents(stored_by_q)
     assert restarted.take_new_blocks()[0].number == len(stored)
+
+
+def test_full_blocks_can_be_given_to_others_before_the_newest_one_is_closed():
+    logs = TeamLogs('q', 1, NOISE)
+    _, records = written(count=25, observations=8)
+
+    for record in records:
+        logs.record(record)
+
+    _, first, *_ = logs.take_new_blocks()
+    assert len(first.content) > MAX_BLOCK_SIZE / 2
+
+
+def test_information_has_at_most_sixteen_blocks():
+    name, sender, logs = LogName('q', 'p'), TeamLogs('q', 1, NOISE), receiver()
+    sender.publish(name, [b'%d' % number for number in range(17)])
+
+    assert logs.add(sender.logs[name].block(15))
+    assert rejection(logs, sender.logs[name].block(16)) is MessageRejection.TOO_FAR_AHEAD
+
+
+def test_information_that_has_arrived_in_part_is_replaced_by_a_later_one():
+    name, sender, logs = LogName('q', 'p'), TeamLogs('q', 1, NOISE), receiver()
+    # The first part of the second information is lost.
+    for contents_, numbers in (
+            ([b'a', b'b'], (0, 1)), ([b'c', b'd'], (1,)), ([b'e', b'f'], (1, 0))):
+        sender.publish(name, contents_)
+        for number in numbers:
+            assert logs.add(sender.logs[name].block(number))
+
+    assert logs.logs[name].blocks == [b'e', b'f']
+
+
+def test_a_later_run_does_not_go_on_with_the_last_scan_of_the_earlier_one():
+    yesterday, _ = written(run=1)
+    today = TeamLogs('q', 2, NOISE)
+    today.record(RestOfScan('q', 1, ()))
+    today.flush()
+    logs = receiver()
+    for block in (*blocks_of(yesterday), blocks_of(today)[0]):
+        logs.add(block)
+
+    assert rejection(logs, blocks_of(today)[1]) is MessageRejection.BAD_CONTENT
+
+
+def test_after_a_block_that_does_not_follow_the_known_ones_others_are_asked_for_the_right_one():
+    one, other = written(seed=0)[0], written(seed=1)[0]
+    logs = receiver()
+    for block in blocks_of(one)[:3]:
+        logs.add(block)
+
+    rejection(logs, blocks_of(other)[3])
+
+    knowledge = logs.logs[LogName('q')].knowledge()
+    assert 3 in one.logs[LogName('q')].missing(knowledge)

@@ -44,3 +44,23 @@ def test_a_pose_whose_observations_cannot_be_used_is_that_before_them(newest, mo
     assert newest.error == 'not definite'
     assert_array_equal(newest.x, x)
     assert_array_equal(newest.P, P)
+
+
+def test_a_landmark_that_left_the_map_leaves_the_others_with_their_covariances():
+    P = np.arange(49.0).reshape(7, 7)
+    of_first_and_third = NearMarginal(np.array([0, 2]), P)
+
+    # Of three landmarks, 5, 6 and 7 in the map, 5 and 6 have left and 9 is new.
+    kept = of_first_and_third.renumbered(np.array([5, 6, 7]), np.array([9, 7]))
+
+    assert kept.landmarks.tolist() == [1]
+    rows = [0, 1, 2, 5, 6]
+    assert_array_equal(kept.P, P[rows][:, rows])
+
+
+def test_an_error_is_over_with_the_next_observations_that_can_be_used(newest):
+    newest.error = 'not definite'
+
+    newest.observe([Observation(0, POINTS[0], 0.01 * np.eye(2))])
+
+    assert newest.error == ''

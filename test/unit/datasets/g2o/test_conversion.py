@@ -155,3 +155,13 @@ def test_two_poses_of_a_robot_at_one_stamp_are_an_error():
 
     with pytest.raises(UserError, match='two poses of a have one stamp'):
         conversion.trajectories(Graph(increments=[step(0, 1)], names=names), PERIOD)
+
+
+def test_the_id_that_a_robot_has_for_a_landmark_counts_before_that_of_all_robots():
+    _, records, _ = converted(Graph(
+        increments=[step(0, 1), step(2, 3)], observations=[sighting(1, 4), sighting(3, 4)],
+        names={0: PoseName('a', 5), 1: PoseName('a', 9), 2: PoseName('b', 7), 3: PoseName('b', 9)},
+        keys={4: (('', 11), ('b', 12))}))
+
+    assert {r.robot: r.observations[0].id for r in records if isinstance(r, Scan)} == {
+        'a': 11, 'b': 12}

@@ -127,12 +127,14 @@ def test_a_clock_that_was_set_back_goes_on_as_true_poses_tell(back, when, right)
 
 @pytest.mark.parametrize(('back', 'known', 'is_same_drive'), [
     (0.3, False, True), (4.0, False, True), (12.0, False, False), (12.0, True, True)])
+@pytest.mark.parametrize('right', ['before', 'after'])
 def test_where_landmarks_differ_a_step_of_seconds_or_true_poses_show_that_the_robot_drives_on(
-        back, known, is_same_drive):
+        back, known, is_same_drive, right):
     *series, truth = drive(4)
-    commands, observations = (
-        joined([s[s.stamps < at(60)], s[s.stamps >= at(60)].shifted(round(-back * S))])
-        for s in series)
+    before, after = (0.0, -back) if right == 'before' else (back, 0.0)
+    commands, observations = (joined([
+        s[s.stamps < at(60)].shifted(round(before * S)),
+        s[s.stamps >= at(60)].shifted(round(after * S))]) for s in series)
     # As by odometry that turned by 2 rad too much meanwhile.
     observations.rows[np.count_nonzero(series[1].stamps < at(60)):, 2] += 2.0
 
@@ -297,3 +299,54 @@ def test_where_only_commands_step_back_observations_in_the_repeated_time_are_lef
     assert len(found) + counts['command of another recording'] == len(commands)
     assert len(seen) + counts['observation of another recording'] + counts[
         'observation at a repeated time'] == len(observations)
+
+
+def test_of_two_recordings_at_the_same_time_the_longer_one_is_used():
+    series, others = drive(6)[:2], drive(7)[:2]
+    glued = [joined([cut(other, 20, 70)[0].shifted(30 * S), s])
+             for s, other in zip(series, others)]
+
+    found, seen, counts = ordered(*glued)
+
+    assert_equal(found, series[0])
+    assert_equal(seen, series[1])
+    assert counts['command of another recording'] == len(cut(others[0], 20, 70)[0])
+
+
+def test_rows_of_another_recording_that_are_equal_by_chance_are_not_repeated_ones():
+    series, others = drive(6)[:2], drive(7)[:2]
+    other, observations = (cut(s, 20, 70)[0] for s in others)
+    equal = [0, 500, 1000, 1500, 2000]
+    other.rows[equal] = cut(series[0], 20, 70)[0].rows[equal]
+
+    _, _, counts = ordered(joined([series[0], other]), joined([series[1], observations]))
+
+    assert counts['command of another recording'] == len(other)
+    assert 'row repeated' not in counts
+
+
+def test_robots_that_were_met_elsewhere_before_and_after_a_break_are_no_other_recording():
+    commands, _, truth = drive(4)
+    # The other robot drives from one side to the other within 20 s, unseen.
+    side = np.where(truth.stamps < at(60), 3.0, -3.0)
+    met = meetings(truth, Series(truth.stamps, np.column_stack([side, 0 * side])), 2)
+    met = joined([cut(met, 0, 50)[0], cut(met, 70, 120)[0]])
+    stepped = [joined([s[s.stamps < at(60)], s[s.stamps >= at(60)].shifted(-12 * S)])
+               for s in (commands, met)]
+
+    _, _, counts = ordered(*stepped)
+
+    assert 'command of another recording' not in counts
+
+
+def test_observations_within_a_gap_of_commands_show_that_no_clock_was_set_forward():
+    commands, observations, truth = drive(4)
+    stepped = joined([
+        commands[commands.stamps < at(60)],
+        commands[commands.stamps >= at(60)].shifted(30 * S)])
+
+    found, seen, counts = ordered(stepped, observations, truth)
+
+    assert_equal(found, stepped)
+    assert_equal(seen, observations)
+    assert counts == {}

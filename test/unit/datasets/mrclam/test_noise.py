@@ -17,7 +17,7 @@ from fej_slam_ros.datasets.mrclam.command_errors import increments
 from fej_slam_ros.datasets.mrclam.conversion import observations as observations_used, speeds
 from fej_slam_ros.datasets.mrclam.conversion_options import ConversionOptions, Noise
 from fej_slam_ros.datasets.mrclam.files import read
-from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable
+from fej_slam_ros.datasets.mrclam.noise import best_options, is_measurable, turn_correlation
 from fej_slam_ros.datasets.mrclam.observation_errors import error_statistics, observation_errors
 from fej_slam_ros.datasets.series import Series
 from helpers.mrclam import LANDMARKS, write_set
@@ -400,3 +400,11 @@ def test_speeds_of_set_6_have_the_errors_in_its_readme(set_6, window, v, w):
     # The windows of the README begin at other times.
     assert errors[:, 0].std() / window == pytest.approx(v, abs=1e-3)
     assert w[0] <= errors[:, 2].std() / window <= w[1]
+
+
+@pytest.mark.parametrize(('own_turns', 'expected'), [((0.0, 0.0), 1.0), ((10.0, 0.0), 0.0)])
+def test_turns_of_a_robot_that_is_told_to_drive_straight_agree_unless_it_turns(
+        tmp_path, own_turns, expected):
+    data = synthetic_set(tmp_path, own_turns, turn_rate=0.0, held=10, seconds=200)
+
+    assert turn_correlation(data, ConversionOptions()) == expected

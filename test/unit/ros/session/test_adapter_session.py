@@ -783,3 +783,25 @@ def test_warnings_say_what_is_missing(messages, warning):
     run(session, ODOMETRY, *messages)
 
     assert next(reports(session))[1] == warning
+
+
+def test_an_object_exactly_at_the_largest_range_is_in_range():
+    session = session_of(max_range=5.0)
+
+    (found, _, _), = clouds(run(session, ODOMETRY, foreign.april_tags(
+        5, 'r1/base_link', {'tag36h11:4': (3.0, 4.0, 0.0), 'tag36h11:5': (3.0, 4.001, 0.0)})))
+
+    assert found == [4]
+
+
+@pytest.mark.parametrize('order', [1, -1])
+def test_robots_are_observed_in_the_order_of_the_team_whatever_that_of_their_tags(order):
+    session = session_of(
+        robots=('r1', 'r2', 'r3'), **{'r2.tags': ['20'], 'r3.tags': ['30']})
+    tags = {'tag36h11:20': SEEN, 'tag36h11:30': (0.0, 0.0, 4.0)}
+
+    found = run(session, ODOMETRY, CAMERA, foreign.april_tags(
+        5, 'r1/camera', dict([*tags.items()][::order])))
+
+    (ids, _, _), = clouds(found, 'r1/robots')
+    assert ids == [2, 3]

@@ -257,3 +257,36 @@ def test_landmarks_without_ids_are_published_once_confirmed():
     ellipses = [m for m in published['~/markers'].markers if m.ns == 'landmark_ellipses']
     assert len(ellipses) == 2
     assert len(run.estimator.groups.team.state.landmarks) == 3
+
+
+def test_a_robot_has_the_same_colour_whether_those_before_it_have_sent_odometry_or_not():
+    def colours(*records):
+        run, _ = driven(records, known=[('r2', (1.0, 0.0, 0.0), (0.1, 0.1, 0.1))])
+        return [
+            (m.color.r, m.color.g, m.color.b) for m in overview(run)['~/markers'].markers
+            if m.ns.startswith('paths') and m.id == 1]
+
+    of_r2 = odometry('r2', 0), odometry('r2', 100)
+
+    assert colours(*of_r2) == colours(odometry('r1', 0), odometry('r1', 100), *of_r2)
+    assert len(colours(*of_r2)) == 1
+
+
+def test_the_map_that_a_robot_outside_map_leaves_behind_has_no_topic():
+    run, _ = driven([
+        odometry('r1', 0), odometry('r2', 0), scan('r2', 100, [(7, (1.0, 0.0))]),
+        odometry('r1', 200), odometry('r2', 200)])
+
+    run.change_team(['r1'])
+
+    assert [estimate.frame for estimate in run.estimator.maps()] == ['map', 'r2/map']
+    assert set(overview(run)) == {'r1/path', '~/landmarks', '~/markers'}
+
+
+def test_a_team_without_poses_clears_no_map():
+    run, _ = driven(meeting())
+    overview(run)
+
+    run.change_team(['r3'])
+
+    assert list(run.outputs.cleared_maps()) == []

@@ -133,7 +133,7 @@ def test_nis_that_stays_outside_its_chi_square_band_is_reported(sigma, level, me
     assert of_message.startswith(message)
 
 
-def misled(shift, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
+def misled(shift, since, robots=('r1', 'r2'), numbers=(1, 2, 3), steps=40):
     """Return messages with shifted observations of some landmarks, from a time in ms on."""
     def seen(record):
         if record.robot not in robots or isinstance(record, Odometry) or record.stamp < since * MS:
@@ -141,7 +141,7 @@ def misled(shift, since, robots=('r1', 'r2'), numbers=(1, 2, 3)):
         return replace(record, observations=tuple(
             replace(s, z=s.z + shift) if s.id in numbers else s for s in record.observations))
 
-    return [raw_record(seen(record)) for record in meeting(steps=40)]
+    return [raw_record(seen(record)) for record in meeting(steps)]
 
 
 def delayed(robot, seconds):
@@ -518,3 +518,21 @@ def test_a_moved_landmark_is_one_line(mode, what):
     lines = lines_of(map(moved, meeting(40)), moved_landmarks=mode)
 
     assert [line for line in lines if 'moved' in line] == [f'landmark 2 was moved: {what}']
+
+
+def test_a_robot_without_odometry_is_not_waited_for_to_join():
+    run = EstimatorSession(run_settings('r1', 'r2', 'r3'), None)
+    feed(run, [m for m in MEETING if m.topic.startswith('r1')])
+    feed(run, [raw_record(odometry('r2', ms)) for ms in range(0, 500, 100)])
+    list(run.release())
+
+    run.log.remind(dict.fromkeys(run.consumer.robots, 'silent'))
+
+    assert log_texts(run)[-1] == (
+        'waiting for odometry of r3 (silent); r2 to join map (0 shared landmarks, needs 3)')
+
+
+def test_a_lost_robot_is_not_called_underconfident():
+    report = report_of(*misled((5.0, 0.0), since=29_700, robots=['r1'], steps=300))
+
+    assert report['r1'][:2] == (ERROR, 'likely lost: 9 of 9 observations gated in a row')

@@ -128,3 +128,11 @@ def test_adding_a_robot_whose_files_exist_is_refused(run, tmp_path):
         run.change_team(['r1', 'r3'])
 
     assert list(run.estimator.robots) == ['r1', 'r2']
+
+
+def test_a_parameter_that_is_set_to_its_present_value_is_no_change(run):
+    present = run.estimator.settings.gate_probability
+
+    run.change_parameters({'gate_probability': present, 'join_min_landmarks': 4})
+
+    assert [change.parameter for change in run.changes] == ['join_min_landmarks']

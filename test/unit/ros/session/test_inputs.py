@@ -444,3 +444,26 @@ def test_scans_that_wait_for_the_frame_of_odometry_have_limited_bytes(monkeypatc
 
     # A point has 20 bytes: five scans wait.
     assert [r.stamp for r in run.estimator.statistics.rejections] == [50 * MS, 60 * MS]
+
+
+def test_a_stamp_with_a_whole_second_of_nanoseconds_is_rejected():
+    message = odometry_message(400)
+    message.header.stamp.nanosec = 10**9
+
+    assert rejection_counts(run_of(*GOOD, raw('r1/odom', message, 900))) == {'bad_stamp': 1}
+
+
+def test_a_given_pose_that_is_rejected_is_not_why_a_robot_is_in_map():
+    from_the_future = PosePrior('r2', 10**6 * MS, np.zeros(3), np.eye(3))
+
+    run = run_of(*GOOD, replace(raw_record(from_the_future), received=900 * MS))
+
+    assert rejection_counts(run, 'r2') == {'future': 1}
+    assert run.inputs.health.pose_priors == {}
+
+
+def test_a_scan_that_has_waited_in_vain_is_a_rejected_message_of_its_topic():
+    run = run_of(scan(0, (1, 1.0, 1.0), frame='a'))
+
+    assert rejection_counts(run) == {'wrong_frame': 1}
+    assert run.inputs.health.flow('r1', 'landmarks').rejected_in_a_row.total() == 1

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fej_slam_ros.ros.session.estimator_session import EstimatorSession
-from fej_slam_ros.ros.session.outputs import rejections
+from fej_slam_ros.ros.session.outputs import rejections, thinned
 from helpers.records import scan
 from helpers.ros import drive, meeting, raw_record, run_settings, through_cdr
 
@@ -35,3 +35,14 @@ def test_rejections_are_published_in_their_order():
     _, rejected = published_rejections((1, (-9.0, 3.0)), (2, (-9.0, 3.0)))
 
     assert [values['id'] for values in rejected] == ['1', '2']
+
+
+@pytest.mark.parametrize('most', [1, 3, 4, 9, 10, 20])
+def test_a_thinned_path_is_evenly_spaced_and_ends_with_the_newest_pose(most):
+    path = [(stamp, np.zeros(3)) for stamp in range(10)]
+
+    stamps = [stamp for stamp, _ in thinned(path, most)]
+
+    assert stamps[-1] == 9
+    assert len(stamps) <= most
+    assert len({*np.diff(stamps)}) <= 1

@@ -94,3 +94,13 @@ def test_a_state_hash_that_takes_too_long_is_given_up(session, monkeypatch):
     monkeypatch.setattr(run.consumer, 'state_hash', lambda: pause() or 'hash')
 
     assert run.state_hash() is None
+
+
+def test_rejections_are_published_while_no_step_is_due(session):
+    run = started(session)
+    list(run.release())
+    assert list(run.take()) == []
+
+    run.receive(raw('r1/odom', odometry_message(500, (1e12, 0.0, 0.0)), 500))
+
+    assert [topic for topic, _ in run.take()] == ['~/rejections']

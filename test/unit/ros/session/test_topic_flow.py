@@ -70,3 +70,12 @@ def test_a_rate_refers_to_the_last_five_seconds():
 
     assert rates[:6] == [0.0, 10.0, 10.0, 10.0, 10.0, 10.0]
     assert rates[6:] == [8.0, 6.0, 4.0, 2.0, 0.0, 0.0]
+
+
+def test_a_rate_after_the_clock_went_back_is_that_since_then():
+    topic = TopicFlow()
+    for second, count in ((100, 10), (101, 20), (50, 30), (51, 40)):
+        topic.received = count
+        topic.sample(second * S)
+
+    assert topic.rate() == 10.0
