@@ -31,7 +31,8 @@ from fej_slam_ros.core.pieces import EndedError
 from fej_slam_ros.core.point_consensus import OUTLIER_D2
 from fej_slam_ros.core.quarantine import Quarantine
 from fej_slam_ros.core.records import (
-    is_too_uncertain, LandmarkKey, NO_ID, NS, RendezvousKey, RobotScan, Step)
+    is_too_uncertain, LandmarkKey, MAX_LINEAR_HEADING_SIGMA, NO_ID, NS, RendezvousKey, RobotScan,
+    Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.sentences import counted
 from fej_slam_ros.core.settings import Settings
@@ -95,7 +96,8 @@ class TeamJoiner:
                 team.state, self._settings.anchor, scans, step.stamp, team.filter.linearization,
                 START_COVARIANCES[self._settings.start_covariance],
                 room_for_landmarks(
-                    team.state, self._groups.states(), self._settings.max_landmarks))
+                    team.state, self._groups.states(), self._settings.max_landmarks),
+                max(MAX_LINEAR_HEADING_SIGMA, self._settings.join_heading_sigma))
         except (InitialAlignmentError, EndedError):
             state = None
         if state is not None:

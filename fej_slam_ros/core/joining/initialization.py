@@ -3,9 +3,10 @@
 """Step 0: the joint state of all robots that the first scans relate, "Initialization" of [Liu]."""
 
 from collections import Counter
-from collections.abc import Callable, Container, Mapping, Sequence
+from collections.abc import Callable, Collection, Container, Mapping, Sequence
 from functools import partial
 from itertools import islice
+import math
 import sys
 
 import numpy as np
@@ -28,11 +29,13 @@ START_COVARIANCES: Mapping[str, Callable[..., InitialAlignment]] = {
 def initialize(
     state: JointState, anchor: str, scans: InitialScans, stamp: int, linearization: Linearization,
     method: Callable[..., InitialAlignment], max_new: int = sys.maxsize,
+    max_heading_sigma: float = math.inf,
 ) -> JointState | None:
     """
     Return the joint state with all robots and shared landmarks that the scans determine.
 
-    None if the scans relate no new robots or landmarks: then the step is an ordinary one.
+    New robots whose headings are too uncertain are left out, with their scans. None if the scans
+    relate no new robots or landmarks: then the step is an ordinary one.
 
     Parameters
     ----------
@@ -43,6 +46,7 @@ def initialize(
     linearization : policy that linearises the covariance
     method : one of `START_COVARIANCES`; its errors are those of `align`
     max_new : maximum number of new landmarks
+    max_heading_sigma : largest standard deviation of the heading of a new robot [rad]
 
     """
     robots = sorted(state.robots.values(), key=lambda robot: robot.name != anchor)
@@ -56,6 +60,11 @@ def initialize(
     solved = method(
         prior, new_poses, shared, scans,
         partial(_linearized_at, linearization, state, scans.keys(), stamp))
+    uncertain = _uncertain(solved, new_poses, max_heading_sigma)
+    if uncertain:
+        return initialize(
+            state, anchor, {name: scan for name, scan in scans.items() if name not in uncertain},
+            stamp, linearization, method, max_new, max_heading_sigma)
     known = prior
     if unobserved:
         known = _estimates(state, robots, [*observed, *unobserved])
@@ -82,6 +91,15 @@ def _determined(
             name: [(key, observation) for key, observation in scan if key in usable]
             for name, scan in scans.items()}, max_new)
     return scans, {name: x for name, x in poses.items() if name not in prior.poses}, shared
+
+
+def _uncertain(solved: InitialAlignment, names: Collection[str], max_sigma: float) -> set[str]:
+    """Return those of some robots whose heading is too uncertain in the frame of the anchor."""
+    # The first robot is the anchor, whose error turns the others with it.
+    variances = solved.P.diagonal()[2::3] - solved.P[2, 2]
+    return {
+        name for name, variance in zip(solved.poses, variances)
+        if name in names and variance > max_sigma ** 2}
 
 
 def _linearized_at(

@@ -111,12 +111,12 @@ def stack(runs: Sequence[Errors]) -> Errors:
 
 
 def _settings(world: World) -> Settings:
-    """Return the parameters of a run; the first robot's start is known, as in [Liu]."""
+    """Return the parameters of a run, in which step 0 places each robot however it is known."""
     x, y, phi = world.true_poses[world.robots[0]][0].tolist()
     robots = numbered_robots(world.robots)
     return Settings(
         robots, anchor=robots[0].name, anchor_pose=(x, y, phi), gate_probability=1.0,
-        join_min_landmarks=NEVER_RESTART)
+        join_min_landmarks=NEVER_RESTART, join_heading_sigma=np.pi)
 
 
 def _estimate(

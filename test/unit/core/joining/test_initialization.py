@@ -19,6 +19,7 @@ from fej_slam_ros.core.records import Observation, Odometry, PriorMap, Scan
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.sim.sensors import SensorSettings
 from helpers.core import circles, estimate, pose_difference, random_covariance, turn
+from helpers.records import scan
 
 SECOND = 1_000_000_000
 R = np.diag([0.01, 0.01])
@@ -99,6 +100,21 @@ def test_a_robot_with_known_start_may_observe_nothing_while_others_are_located(k
     noise = turn(POSES['r3'][2]) @ np.diag([0.01, 0.01]) @ turn(POSES['r3'][2]).T
     P = np.diag([0.01, 0.04, 0.0025]) + block_diag(noise, 0.01)  # its start and one motion
     assert_allclose(state.marginal([state.robots['r3']]), P, atol=1e-15)
+
+
+@pytest.mark.parametrize(('baseline', 'join_heading_sigma', 'frame'), [
+    (0.8, 0.1, 'map'), (0.5, 0.1, 'r2/map'), (0.5, 0.5, 'map')])
+def test_a_robot_whose_heading_landmarks_hardly_determine_is_not_placed_by_step_0(
+        baseline, join_heading_sigma, frame):
+    """Each of two robots measures a baseline to 0.14 m across: 0.2 m / baseline is the sigma."""
+    pair = [(0, (4.0, 0.0)), (1, (4.0, baseline))]
+    records = [*still(['r1', 'r2']), *(scan(name, 0, pair) for name in ('r1', 'r2'))]
+
+    estimator, _ = estimate(records, ('r1', 'r2'), join_heading_sigma=join_heading_sigma)
+
+    assert estimator.groups.of('r2').frame == frame
+    # Only robots of one frame share a landmark.
+    assert [f.owner for f in estimator.groups.team.state.landmarks.values()] == ['r1', 'r1']
 
 
 def test_a_turn_before_step_0_counts_until_the_robot_observes_something():
