@@ -61,15 +61,22 @@ class TrueMotions:
 
 
 def true_motions(odometry: Sequence[Odometry], truth: RecordedTruth) -> TrueMotions | None:
-    """Return the motions of a robot, None if there are fewer than `MIN_MOTIONS`."""
+    """
+    Return the motions of a robot, None if there are fewer than `MIN_MOTIONS`.
+
+    Odometry that stands still shows nothing about the errors of driving: it has no motion.
+
+    """
     intervals = _intervals(odometry, truth)
     if len(intervals) < MIN_MOTIONS:
         return None
-    firsts, lasts = np.array(intervals, np.int64).T
+    trajectory, ends = OdometryTrajectory.of(odometry), np.array(intervals, np.int64)
+    firsts, lasts = ends[trajectory.motions(*ends.T).any(axis=1)].T
+    if len(firsts) < MIN_MOTIONS:
+        return None
     (_, before), (_, after) = (
         truth.find_all(odometry[0].robot, times.tolist()) for times in (firsts, lasts))
-    return TrueMotions(
-        firsts, lasts, models.h_pose(before, after), OdometryTrajectory.of(odometry))
+    return TrueMotions(firsts, lasts, models.h_pose(before, after), trajectory)
 
 
 def _intervals(

@@ -16,7 +16,7 @@ from fej_slam_ros.core.ground_truth import RecordedTruth
 from fej_slam_ros.core.ordering.odometry_increments import increment
 from fej_slam_ros.core.records import NS, Odometry
 from fej_slam_ros.core.settings import RobotSettings
-from helpers.wrong_odometry import run
+from helpers.wrong_odometry import DT, run
 
 NO_ERRORS = np.array([1.0, 1.0, 0.0])
 
@@ -50,6 +50,29 @@ def test_errors_are_those_of_the_simulation(fit, scale, bias):
     assert (np.abs(errors.values - [*scale, bias]) < 4.0 * errors.sigma).all()
     assert (errors.sigma < [0.005, 0.005, 0.001]).all()
     assert_array_equal(errors.values != NO_ERRORS, np.array([*scale, bias]) != NO_ERRORS)
+
+
+def test_where_a_robot_stands_most_of_the_time_its_errors_are_those_of_driving():
+    """Its turn bias is of uneven wheels, and its true headings have no error."""
+    odometry, _, true = run(bias=0.01)
+    halves = len(odometry) // 2
+    standing = range(halves, halves + 3 * len(odometry))
+    records = {
+        kind: [
+            *some[:halves],
+            *(replace(some[halves - 1], stamp=round(k * DT * NS)) for k in standing),
+            *(replace(r, stamp=r.stamp + round(len(standing) * DT * NS)) for r in some[halves:])]
+        for kind, some in (('odometry', odometry), ('true', true))}
+
+    errors = by_truth(records['odometry'], None, records['true'])
+
+    assert errors.values[2] == pytest.approx(0.01, abs=4.0 * errors.sigma[2])
+    truth = RecordedTruth()
+    for record in records['true']:
+        truth.add(record)
+    heading, sigma = true_motions(records['odometry'], truth).heading_error(errors.values)
+    assert abs(heading) < 4.0 * sigma
+    assert sigma < 0.005
 
 
 @FITS
