@@ -16,7 +16,7 @@ from fej_slam_ros.core.records import (
 from fej_slam_ros.core.rejections import RejectionReason
 from helpers.core import circles, pose_difference
 from helpers.csam import smoothed
-from helpers.records import robot_scan, team
+from helpers.records import MS, odometry, robot_scan, scan, team
 
 RECORDS = circles(seed=1, landmarks=30, loops=3)
 END = max(r.stamp for r in RECORDS if isinstance(r, Odometry))
@@ -230,3 +230,65 @@ def test_a_pose_in_map_of_a_robot_that_has_not_joined_is_rejected():
 
     assert smoother.statistics.total(RejectionReason.NOT_JOINED) == 1
     assert smoother.statistics.relocalized.total() == 0
+
+
+def blind_until(records, since):
+    """Return records in which r1 observes nothing, nor is observed, up to a time."""
+    return [
+        r for r in records if r.stamp > since or not (isinstance(r, Scan) and r.robot == 'r1')]
+
+
+def test_a_robot_that_is_lost_before_it_has_mapped_anything_begins_anew():
+    """Its first message is from before its driver knew the pose."""
+    first, *later = (r for r in RECORDS if isinstance(r, Odometry) and r.robot == 'r1')
+    records = jumping(blind_until(RECORDS, first.stamp), first.stamp)
+    expected, _ = smoothed([r for r in records if r is not first], team())
+
+    smoother, _ = smoothed(records, team())
+
+    assert smoother.statistics.relocalized['r1'] == 1
+    assert smoother.not_in_map() == {}
+    assert smoother.trajectories['r1'].stamps == [r.stamp for r in later]
+    assert_allclose(
+        smoother.trajectories['r1'].poses(), expected.trajectories['r1'].poses(), atol=1e-9)
+
+
+def test_few_landmarks_from_before_a_robot_was_lost_are_left_out_and_counted():
+    early = min(r.stamp for r in RECORDS if isinstance(r, Scan) and r.robot == 'r1')
+    pair = scan('r1', early // MS, [(901, (3.0, 1.0)), (902, (3.0, -1.0))])
+    records = [pair, *jumping(blind_until(ALONE, early + 2 * NS), early + NS)]
+
+    smoother, _ = smoothed(sorted(records, key=lambda r: r.stamp), team('r1'))
+
+    assert smoother.statistics.rejection_counts['r1'][RejectionReason.LOST_ROBOT] == 2
+    assert {id_ for _, id_ in smoother.trajectories['r1'].landmark_keys('')}.isdisjoint({901, 902})
+
+
+def test_a_solution_from_before_a_robot_began_anew_changes_nothing_of_it():
+    smoother = TeamSmoother(team('r1'))
+    for ms in range(0, 500, 100):
+        smoother.add(odometry('r1', ms))
+    list(smoother.take())
+    before = smoother.task()
+    for ms in range(500, 1000, 100):
+        smoother.add(odometry('r1', ms, (100.0 + ms / 1000.0, 0.0, 0.0)))
+    list(smoother.close())
+
+    smoother.adopt(solve(before))
+
+    assert smoother.solution.maps == ()
+    assert smoother.trajectories['r1'].stamps == [ms * MS for ms in range(500, 1000, 100)]
+    smoother.adopt(solve(smoother.task()))
+    assert len(smoother.trajectories['r1'].poses()) == 5
+
+
+def test_an_anchor_whose_given_pose_no_longer_holds_does_not_begin_anew():
+    smoother = TeamSmoother(team('r1', 'r2', anchor_pose=(3.0, 2.0, 1.0)))
+    for ms in range(0, 500, 100):
+        for name in ('r1', 'r2'):
+            smoother.add(odometry(name, ms, (100.0 * (ms >= 300), 0.0, 0.0)))
+    list(smoother.close())
+
+    assert smoother.trajectories['r1'].is_lost
+    assert smoother.not_in_map()['r1'].startswith('it is lost: its map has 0 landmarks, needs 3')
+    assert not smoother.trajectories['r2'].is_lost

@@ -79,6 +79,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         self._solve_every = solve_every
         self._measurements: list[RendezvousMeasurement] = []
         self._observed_pairs: set[tuple[str, str]] = set()  # observers and observed of these
+        self._begun_anew: set[str] = set()  # robots, since the last task
         self._keyframes = Keyframes(settings.keyframe_distance)
         # Rest of the present step, and the robots whose poses in it are kept.
         self._due: deque[RobotStep] = deque()
@@ -116,6 +117,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
     def task(self) -> SmoothingTask:
         """Return the task of smoothing all input so far."""
         self.new_poses = self.new_measurements = 0
+        self._begun_anew.clear()
         settings = self.settings
         anchor_first = sorted(self._known(), key=lambda name: name != settings.anchor)
         return SmoothingTask(
@@ -135,9 +137,11 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         """
         Adopt the solution of a task; later poses are estimated from it.
 
-        The map of an unsolved robot is unchanged.
+        The map of an unsolved robot is unchanged, and so is that of one that has begun anew since
+        the task.
 
         """
+        solution = solution.without(self._begun_anew)
         for solved in solution.maps:
             for name in solved.trajectories:
                 self.trajectories[name].adopt(solved)
@@ -315,8 +319,31 @@ class TeamSmoother(TeamInput[PoseEstimate]):
             self.new_measurements += 1
         else:
             self.statistics.count_restart(prior.robot, 'its pose is not known')
-            trajectory.lose(self._stamp, observations)
+            self._lose(prior.robot, observations)
         return True
+
+    def _lose(self, name: str, observations: tuple[Observation, ...]) -> None:
+        """
+        Continue in a new frame, until landmarks of the map are observed again.
+
+        Where the map has too few for that, and relates the robot to no other, it begins anew. An
+        anchor with a given pose does not, since its present one is not known.
+
+        """
+        trajectory, settings = self.trajectories[name], self.settings
+        is_related = trajectory.frame == MAP or any(
+            name in (m.observer, m.observed) for m in self._measurements)
+        is_given = name == settings.anchor and any(settings.anchor_pose)
+        if trajectory.can_be_found() or is_related or is_given:
+            trajectory.lose(self._stamp, observations)
+            return
+        for stamp, id_ in trajectory.observations():
+            self.statistics.reject_observation(
+                Rejection(name, stamp, RejectionReason.LOST_ROBOT, id_))
+        self.trajectories[name] = RobotTrajectory(
+            name, self._stamp, observations, self._solve_every)
+        self.solution = self.solution.without([name])
+        self._begun_anew.add(name)
 
     def _reject_lost(self, name: str) -> None:
         """Count observations since a robot was lost, whose poses are in no map, as rejected."""
@@ -338,7 +365,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
             self.statistics.count_restart(
                 name, motion.impossible if motion else 'it has returned to the team')
             self._reject_lost(name)
-            trajectory.lose(self._stamp, observations)
+            self._lose(name, observations)
         elif name in self._kept:
             trajectory.add(motion, observations)
         else:

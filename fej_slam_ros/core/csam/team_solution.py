@@ -98,6 +98,14 @@ class TeamMap:
         """Return whether all these robots are in one map."""
         return any({*robots} <= solved.trajectories.keys() for solved in self.maps)
 
+    def without(self, robots: Collection[str]) -> 'TeamMap':
+        """Return the result without the maps of some robots, and reports on their poses."""
+        return replace(
+            self, maps=tuple(
+                solved for solved in self.maps if solved.trajectories.keys().isdisjoint(robots)),
+            outliers={name: x for name, x in self.outliers.items() if name not in robots},
+            released=tuple(r for r in self.released if r.robot not in robots))
+
     def landmarks_in_map(self) -> int:
         """Return the number of landmarks in ``map``."""
         return sum(len(solved.points) for solved in self.maps if solved.frame == MAP)
