@@ -136,9 +136,12 @@ class FrameGroups:
         """Return whether landmarks, robots or start poses in ``map`` fix it besides the anchor."""
         others = self.team.robots.keys() - {self._settings.anchor}
         return self._has_joined_robots or bool(others or self.team.state.landmarks) or any(
-            robot.start_pose is not None and robot.name not in self.void_starts
-            and not is_too_uncertain(np.diag(np.square(robot.start_sigma)))
-            for robot in self.robots.values())
+            map(self._has_start, self.robots.values()))
+
+    def _has_start(self, robot: RobotSettings) -> bool:
+        """Return whether a robot has a start pose that still counts and can be linearised."""
+        return robot.start_pose is not None and robot.name not in self.void_starts and (
+            not is_too_uncertain(np.diag(np.square(robot.start_sigma))))
 
     def is_map_given(self) -> bool:
         """Return whether more than the start of its anchor defines ``map``."""

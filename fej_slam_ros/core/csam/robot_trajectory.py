@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectory and map of one robot, grown pose by pose, and its frame in the team's map."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 
@@ -130,22 +130,20 @@ class RobotTrajectory:
         self._smoother.adopt(
             Values(trajectory.poses, solved.points[trajectory.landmarks]), trajectory.near)
 
-    def can_be_found(self) -> bool:
-        """Return whether the map has enough landmarks to find the robot again by them."""
-        return len(self._smoother.landmark_index) >= MIN_FOUND
-
-    def observations(self) -> list[tuple[int, int]]:
-        """Return stamp [ns] and landmark of each observation from the poses that are kept."""
-        return _observations(self._smoother, self.stamps)
-
     def lost_observations(self) -> list[tuple[int, int]]:
         """Return stamp [ns] and landmark of each observation since the robot was lost."""
-        return [] if self._lost is None else _observations(self._lost, self._lost_stamps)
+        if self._lost is None:
+            return []
+        observed, ids = self._lost.problem().landmarks, [*self._lost.landmark_index]
+        return [
+            (self._lost_stamps[k], ids[j])
+            for k, j in zip(observed.pose.tolist(), observed.target.tolist())]
 
     def why_lost(self) -> str:
         """Return why a robot is still lost."""
-        if not self.can_be_found():
-            count = counted(len(self._smoother.landmark_index), 'landmark')
+        known = len(self._smoother.landmark_index)
+        if known < MIN_FOUND:
+            count = counted(known, 'landmark')
             return f'it is lost: its map has {count}, needs {MIN_FOUND} to be found again by them'
         return (
             f'it is lost: {len(self._observed_again())} of the landmarks of its map are observed'
@@ -190,11 +188,3 @@ class RobotTrajectory:
             self._smoother.append(later, g, Q)
         except NoMinimumError as error:
             self.error = str(error)
-
-
-def _observations(
-    smoother: IncrementalSmoother, stamps: Sequence[int]
-) -> list[tuple[int, int]]:
-    """Return stamp [ns] and landmark of each observation from poses at some stamps."""
-    observed, ids = smoother.problem().landmarks, [*smoother.landmark_index]
-    return [(stamps[k], ids[j]) for k, j in zip(observed.pose.tolist(), observed.target.tolist())]

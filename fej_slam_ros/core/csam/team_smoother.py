@@ -14,8 +14,10 @@ from itertools import permutations
 
 import numpy as np
 
+from fej_slam_ros.core.csam.frame_by_landmarks import MIN_FOUND
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
+from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
 from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
@@ -23,12 +25,11 @@ from fej_slam_ros.core.definiteness import has_information
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.frame_names import MAP
 from fej_slam_ros.core.geometry import Array, pose_difference
-from fej_slam_ros.core.matches import Matches
 from fej_slam_ros.core.ordering.team_input import TeamInput
 from fej_slam_ros.core.pose_evaluation import PoseScore
 from fej_slam_ros.core.records import (
-    is_too_uncertain, Motion, NO_ID, Observation, Odometry, PosePrior, Record, RobotObservation,
-    RobotScan, Scan, Step)
+    is_too_uncertain, Motion, Observation, Odometry, PosePrior, Record, RobotObservation,
+    RobotScan, Step)
 from fej_slam_ros.core.rejections import Rejection, RejectionReason
 from fej_slam_ros.core.sentences import reasons_in_words
 from fej_slam_ros.core.settings import check_anchor, SmootherSettings
@@ -326,24 +327,31 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         """
         Continue in a new frame, until landmarks of the map are observed again.
 
-        Where the map has too few for that, and relates the robot to no other, it begins anew. An
-        anchor with a given pose does not, since its present one is not known.
+        Where the map has too few for that, and relates the robot to nothing, it begins anew.
 
         """
-        trajectory, settings = self.trajectories[name], self.settings
-        is_related = trajectory.frame == MAP or any(
-            name in (m.observer, m.observed) for m in self._measurements)
-        is_given = name == settings.anchor and any(settings.anchor_pose)
-        if trajectory.can_be_found() or is_related or is_given:
-            trajectory.lose(self._stamp, observations)
+        local = self.trajectories[name].local_map('')
+        if len(local.landmarks) >= MIN_FOUND or self._is_related(name):
+            self.trajectories[name].lose(self._stamp, observations)
             return
-        for stamp, id_ in trajectory.observations():
-            self.statistics.reject_observation(
-                Rejection(name, stamp, RejectionReason.LOST_ROBOT, id_))
+        self._leave_out(local)
         self.trajectories[name] = RobotTrajectory(
             name, self._stamp, observations, self._solve_every)
         self.solution = self.solution.without([name])
         self._begun_anew.add(name)
+
+    def _leave_out(self, local: LocalMap) -> None:
+        """Count the observations of a robot's own map, which no result has, as rejected."""
+        observed, stamps = local.problem.landmarks, self.trajectories[local.robot].stamps
+        for k, j in zip(observed.pose.tolist(), observed.target.tolist()):
+            self.statistics.reject_observation(Rejection(
+                local.robot, stamps[k], RejectionReason.LOST_ROBOT, local.landmarks[j][1]))
+
+    def _is_related(self, name: str) -> bool:
+        """Return whether the trajectory of a robot has a place in ``map`` or beside another."""
+        is_given = name == self.settings.anchor and any(self.settings.anchor_pose)
+        return is_given or self.trajectories[name].frame == MAP or any(
+            name in (m.observer, m.observed) for m in self._measurements)
 
     def _reject_lost(self, name: str) -> None:
         """Count observations since a robot was lost, whose poses are in no map, as rejected."""
@@ -371,27 +379,3 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         else:
             trajectory.add_between_keyframes(motion, observations)
             self.between_keyframes[name] += len(observations)
-
-
-class MatchedTeamSmoother(TeamSmoother):
-    """A smoother of observations without ID, by their matches; those without are rejected."""
-
-    needs_ids = False
-
-    def __init__(self, settings: SmootherSettings, matches: Matches, solve_every: int) -> None:
-        super().__init__(settings, solve_every)
-        self._matches = matches
-
-    def add(self, record: Record, received: int | None = None) -> RejectionReason | None:
-        """Add a record as `TeamSmoother` does, with IDs for its observations."""
-        if not isinstance(record, Scan):
-            return super().add(record, received)
-        scan = self._matches.with_ids(record)
-        for _ in range(len(record.observations) - len(scan.observations)):
-            self.statistics.reject(Rejection(
-                record.robot, record.stamp, RejectionReason.NO_IDENTITY, id=NO_ID))
-        if record.observations and not scan.observations:
-            # As where IDs are needed, it is no step.
-            self.statistics.count_fully_rejected_scan(record.robot)
-            return None
-        return super().add(scan, received)

@@ -97,9 +97,8 @@ def _uncertain(solved: InitialAlignment, names: Collection[str], max_sigma: floa
     """Return those of some robots whose heading is too uncertain in the frame of the anchor."""
     # The first robot is the anchor, whose error turns the others with it.
     variances = solved.P.diagonal()[2::3] - solved.P[2, 2]
-    return {
-        name for name, variance in zip(solved.poses, variances)
-        if name in names and variance > max_sigma ** 2}
+    return {name for name, variance in zip(solved.poses, variances)
+            if name in names and variance > max_sigma ** 2}
 
 
 def _linearized_at(

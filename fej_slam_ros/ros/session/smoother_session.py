@@ -10,8 +10,9 @@ from pathlib import Path
 from time import monotonic_ns
 from typing import Any
 
+from fej_slam_ros.core.csam.matched_smoother import MatchedTeamSmoother
 from fej_slam_ros.core.csam.message_sizes import MessageSizes, smallest, solution_and_sizes
-from fej_slam_ros.core.csam.team_smoother import MatchedTeamSmoother, TeamSmoother
+from fej_slam_ros.core.csam.team_smoother import TeamSmoother
 from fej_slam_ros.core.csam.team_solution import SmoothedMap, solve, TeamMap
 from fej_slam_ros.core.estimates import PoseEstimate
 from fej_slam_ros.core.matches import Matches

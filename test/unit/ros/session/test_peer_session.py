@@ -597,9 +597,10 @@ def sessions_with_q_carried_away(clock):
     sessions = {'p': session('p', 'q'), 'q': session('q', 'p')}
     for k in range(20):
         x = k / 10.0 + (100.0 if k >= 10 else 0.0)
+        others = [(2, (5.0 - x, 3.0)), (3, (9.0 - x, 0.0))] if k < 10 else []
         fed(sessions, [
             raw_record(odometry('p', 100 * k)), raw_record(odometry('q', 100 * k, (x, 0.0, 0.0))),
-            raw_record(scan('q', 100 * k, [(1, (5.0 - x, 1.0))]))], clock)
+            raw_record(scan('q', 100 * k, [(1, (5.0 - x, 1.0)), *others]))], clock)
     exchanged(sessions, clock, 10.0)
     return sessions
 

@@ -4,6 +4,7 @@
 
 from fej_slam_ros.core.csam.team_solution import solve, TeamMap
 from fej_slam_ros.ros.session.smoother_session import SmootherSession
+from helpers.records import odometry
 from helpers.ros import log_texts, meeting, raw_record, run_settings
 
 
@@ -20,3 +21,13 @@ def test_the_smoother_logs_joined_and_unsolved_robots():
         'r1 joined map, by its anchor_pose',
         'r2 joined map, by observations of robots and shared landmarks',
         'r1 is not smoothed: no minimum', 'r1 is smoothed again']
+
+
+def test_a_robot_that_begins_anew_has_a_line_with_the_reason():
+    run = SmootherSession(run_settings('r1'), None)
+    for ms in range(0, 1000, 100):
+        run.receive(raw_record(odometry('r1', ms, (50.0 * (ms >= 500), 0.0, 0.0))))
+        list(run.take())
+
+    assert log_texts(run) == [
+        'r1 begins anew, without its map: its odometry moved 50.0 m in 0.10 s']
