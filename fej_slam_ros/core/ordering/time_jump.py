@@ -14,6 +14,7 @@ odometry that is as far ahead of the whole team is held until the next of its ro
 the team has paused or the stamp is wrong.
 """
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,6 +32,9 @@ MAX_WAIT_FOR_OTHERS = 10 * NS
 MAX_HELD_RECORDS = 20_000
 #: Maximum number of observations in these: 40 MB.
 MAX_HELD_OBSERVATIONS = 100_000
+
+#: Maximum number of records since the caller has taken them last.
+MAX_SETTLED = 1000
 
 TimedRecord = Odometry | AnyScan | TruePose | PosePrior
 #: Robot and kind of record; the stamps of a source increase, except for delays.
@@ -84,6 +88,10 @@ class TimeJumpDetector:
     def __init__(self, consumer: Consumer, resets: bool = False) -> None:
         self.jump: TimeJump | None = None  #: the jump that ended the run
         self.held: list[Held] = []  #: records that wait until the cause of their stamps is known
+        #: records that were held and are passed on since, with the reason if they are rejected;
+        #: the caller takes them
+        self.settled: deque[tuple[TimedRecord, int | None, RejectionReason | None]] = (
+            deque(maxlen=MAX_SETTLED))
         self._consumer = consumer
         self._resets = resets
         self._newest: dict[Source, int] = {}
@@ -125,6 +133,10 @@ class TimeJumpDetector:
         self._earlier_end, self._pending = jump.end, set(jump.pending)
         for record, received in jump.held:
             self.add(record, received)
+
+    def count_held(self) -> int:
+        """Return the number of records that are held."""
+        return len(self.held) + len(self._ahead)
 
     def has_ended_run(self) -> bool:
         """Return whether time has jumped back and another run is to follow."""
@@ -179,7 +191,7 @@ class TimeJumpDetector:
             ahead, received = self._ahead.pop(record.robot)
             follows = self._latest(record) - record.stamp <= self._limit
             if follows and ahead.stamp - record.stamp > self._limit:
-                self._reject(ahead, RejectionReason.FUTURE)
+                self._reject_held(ahead, received, RejectionReason.FUTURE)
             else:
                 self._pass_on(ahead, received)
 
@@ -250,7 +262,7 @@ class TimeJumpDetector:
         backward = self._backward[record.robot]
         self.held.append((record, received))
         while len(self.held) > MAX_HELD_RECORDS or self._has_many_observations(record):
-            self._consumer.add(*self.held.pop(0))
+            self._settle(*self.held.pop(0))
         if isinstance(record, Odometry):
             backward.add(record.stamp, self._limit)
             self._detect()
@@ -273,8 +285,8 @@ class TimeJumpDetector:
         now = self._time()
         pending = self._newest.keys() - {_source(record) for record, _ in self.held}
         if not self._resets:
-            for record, _ in self.held:
-                self._reject(record, RejectionReason.AFTER_TIME_JUMP)
+            for held in self.held:
+                self._reject_held(*held, RejectionReason.AFTER_TIME_JUMP)
             self.held.clear()
         first = min(odometry.first for odometry in back.values())
         self.jump = TimeJump(now - first, now, frozenset(pending), self.held)
@@ -286,18 +298,29 @@ class TimeJumpDetector:
         for robot in [r for r, back in self._backward.items() if now - back.begin > self._limit]:
             for record, received in self._take_held(robot):
                 self._newest[_source(record)] = record.stamp  # Its stamps continue from there.
-                self._consumer.add(record, received)
+                self._settle(record, received)
 
     def _pass_on_held(self, robot: str) -> None:
         """Pass on the held records of a robot as data of this pass, however late."""
-        for record, received in self._take_held(robot):
-            self._consumer.add(record, received)
+        for held in self._take_held(robot):
+            self._settle(*held)
 
     def _pass_on_ahead(self) -> None:
         """Pass on odometry of robots that have sent none after it."""
-        for record, received in self._ahead.values():
-            self._consumer.add(record, received)
+        for held in self._ahead.values():
+            self._settle(*held)
         self._ahead.clear()
+
+    def _settle(self, record: TimedRecord, received: int | None) -> None:
+        """Pass on a record that was held."""
+        self.settled.append((record, received, self._consumer.add(record, received)))
+
+    def _reject_held(
+        self, record: TimedRecord, received: int | None, reason: RejectionReason
+    ) -> None:
+        """Reject a record that was held."""
+        self._reject(record, reason)
+        self.settled.append((record, received, reason))
 
     def _take_held(self, robot: str) -> list[Held]:
         """Remove and return the held records of a robot."""

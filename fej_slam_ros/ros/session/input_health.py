@@ -228,14 +228,18 @@ class InputHealth:
         """Return the messages of a robot on a topic, given by the last part of its name."""
         return self.robots[robot].flows[kind]
 
-    def receive(
-        self, robot: str, kind: str, received: int | None, reason: RejectionReason | None
-    ) -> None:
-        """Add a message with its time of reception [ns] and the reason if it was rejected."""
+    def receive(self, robot: str, kind: str, received: int | None) -> None:
+        """Add a message with its time of reception [ns]."""
         flow = self.flow(robot, kind)
         if not flow.received:
             self.first_messages.append((robot, kind))
-        flow.add(received, reason)
+        flow.add(received)
+
+    def settle(
+        self, robot: str, kind: str, received: int | None, reason: RejectionReason | None
+    ) -> None:
+        """Note whether a message, which had perhaps waited, is accepted, or why it is rejected."""
+        self.flow(robot, kind).settle(received, reason)
         if kind == 'set_pose' and reason is not None:
             self.rejected_priors.append((robot, reason))
 

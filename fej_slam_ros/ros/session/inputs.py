@@ -12,7 +12,8 @@ import numpy as np
 
 from fej_slam_ros.core.ordering.consumer import Consumer
 from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
-from fej_slam_ros.core.records import AnyScan, NS, Odometry
+from fej_slam_ros.core.records import (
+    AnyScan, NS, Odometry, PosePrior, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.core.snapshot import from_plain, to_plain
@@ -30,6 +31,10 @@ from fej_slam_ros.ros.topic_types import (
     CLOUD, expected_topics, INITIALPOSE, ODOMETRY, ROBOT_TOPICS, STATIC_TF, TF_TYPE,
     TRUE_LANDMARKS)
 
+#: The last part of the names of the topics, by the type of their records.
+KINDS = {
+    Odometry: 'odom', Scan: 'landmarks', RobotScan: 'robots', TruePose: 'ground_truth',
+    PosePrior: 'set_pose'}
 #: Maximum number of scans of a robot that wait for its first odometry, whose child frame is valid
 #: for scans; further scans are rejected. 1000 scans are minutes at usual rates.
 MAX_WAITING_SCANS = 1000
@@ -177,14 +182,27 @@ class Inputs:
 
     def _receive_from_robot(self, name: str, kind: str, arrived: RawMessage) -> None:
         """Pass on a message on a topic of a robot, and note whether it is rejected."""
-        rejected = self._consumer.statistics.rejected.get(name, 0)
+        detector = self.time_jump_detector
+        rejected, held = self._consumer.statistics.rejected.get(name, 0), detector.count_held()
         if not self._reject_too_large(name, kind, arrived):
             message = self._decoded(name, arrived, self.robot_topics[kind])
             if message is not None:
                 self._pass_on(kind, self._consumer.robots[name], message, arrived.received)
-        self.health.receive(name, kind, arrived.received, self._reason_since(name, rejected))
+        self.health.receive(name, kind, arrived.received)
+        if detector.settled:
+            rejected += self._note_settled(name)
+        if detector.count_held() <= held:
+            self.health.settle(name, kind, arrived.received, self._reason_since(name, rejected))
         if kind == 'odom' and name in self._waiting_scans and self.frames.knows_base(name):
             self._pass_on_waiting_scans(name)
+
+    def _note_settled(self, robot: str) -> int:
+        """Note which held messages are accepted; return how many of a robot are rejected."""
+        settled = [*self.time_jump_detector.settled]
+        self.time_jump_detector.settled.clear()
+        for record, received, reason in settled:
+            self.health.settle(record.robot, KINDS[type(record)], received, reason)
+        return sum(record.robot == robot and reason is not None for record, _, reason in settled)
 
     def _reason_since(self, robot: str, rejected: int) -> RejectionReason | None:
         """Return the newest reason if more messages of a robot are rejected than before."""
@@ -199,7 +217,7 @@ class Inputs:
             self._pass_on(kind, self._consumer.robots[robot], cloud, received)
             reason = self._reason_since(robot, rejected)
             if reason is not None:
-                self.health.flow(robot, kind).reject(received, reason)
+                self.health.settle(robot, kind, received, reason)
 
     def _decoded(self, name: str, arrived: RawMessage, type_name: str) -> Message | None:
         message = decoded_as(arrived, type_name)
@@ -307,7 +325,7 @@ class Inputs:
     def _reject_waiting_scans(self, robot: str, reason: RejectionReason) -> None:
         for kind, cloud, received in self._waiting_scans.pop(robot, []):
             self._reject(robot, from_time(cloud.header.stamp), reason)
-            self.health.flow(robot, kind).reject(received, reason)
+            self.health.settle(robot, kind, received, reason)
 
     def _reject(self, robot: str, stamp: int, reason: RejectionReason) -> None:
         self._consumer.statistics.reject_message(robot, stamp, reason)

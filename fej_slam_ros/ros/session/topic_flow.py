@@ -56,8 +56,8 @@ class TopicFlow:
     #: times of reports [ns] in the last `RATE_WINDOW`, with the number of messages by then
     _samples: deque[tuple[int, int]] = field(default_factory=deque)
 
-    def add(self, received: int | None, reason: RejectionReason | None) -> None:
-        """Add a message with its time of reception [ns] and the reason if it was rejected."""
+    def add(self, received: int | None) -> None:
+        """Add a message with its time of reception [ns]; `settle` says whether it is used."""
         self.received += 1
         if received is not None:
             # After a clock that went back, the gap is unknown.
@@ -65,13 +65,12 @@ class TopicFlow:
                 self._gaps.append(received - self.last)
             self.last = received
             self.rejected_since = min(self.rejected_since, received)
+
+    def settle(self, received: int | None, reason: RejectionReason | None) -> None:
+        """Note whether a message, which had perhaps waited, is accepted, or why it is rejected."""
         if reason is None:
             self.rejected_in_a_row.clear()
-        else:
-            self.reject(received, reason)
-
-    def reject(self, received: int | None, reason: RejectionReason) -> None:
-        """Note that a message, which had perhaps waited, is rejected."""
+            return
         if not self.rejected_in_a_row:
             self.rejected_since = received or 0
         self.rejected_in_a_row[reason] += 1

@@ -29,7 +29,8 @@ class Case:
 
     def messages(self, kind, times, reason=None, observations=0):
         for ms in times:
-            self.health.receive('r2', kind, ms * MS, reason and RejectionReason(reason))
+            self.health.receive('r2', kind, ms * MS)
+            self.health.settle('r2', kind, ms * MS, reason and RejectionReason(reason))
             self.health.flow('r2', kind).observations += observations
         return self
 
@@ -189,7 +190,7 @@ def test_a_robot_that_delays_the_others_is_a_warning_with_the_delay():
     case = Case()
     # r1 at 20 Hz, r2 at 1.25 Hz.
     for ms in range(0, 20050, 50):
-        case.health.receive('r1', 'odom', ms * MS, None)
+        case.health.receive('r1', 'odom', ms * MS)
         case.health.receive_odometry('r1', ms * MS)
         if ms % 800 == 0:
             case.messages('odom', [ms])
@@ -205,7 +206,7 @@ def test_a_robot_that_delays_the_others_is_a_warning_with_the_delay():
 def test_in_a_slow_team_no_robot_delays_the_others():
     case = flowing(20 * S)
     for ms in range(0, 20 * S, 1000):
-        case.health.receive('r1', 'odom', ms * MS, None)
+        case.health.receive('r1', 'odom', ms * MS)
         case.health.receive_odometry('r2', (ms - 900) * MS)
         case.health.receive_odometry('r1', ms * MS)
         case.health.sample(ms * MS)

@@ -78,7 +78,7 @@ def test_a_robot_that_is_not_waited_for_delays_nobody():
 
 def test_a_removed_robot_is_forgotten():
     health = lags(('r1', 0), ('r2', 0))
-    health.receive('r2', 'odom', 0, None)
+    health.receive('r2', 'odom', 0)
 
     health.remove_robot('r2')
 

@@ -10,6 +10,7 @@ import pytest
 
 from fej_slam_ros.core.estimator import Estimator
 from fej_slam_ros.core.records import PosePrior
+from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.ros.messages import RawMessage
 from fej_slam_ros.ros.parameters import NodeSettings, RunSettings
 from fej_slam_ros.ros.session import inputs as inputs_module
@@ -18,8 +19,8 @@ from fej_slam_ros.ros.session.inputs import Inputs, MAX_WAITING_SCANS
 from helpers.optional import given, settings, strategies as st
 from helpers.records import MS, odometry, team, true_pose
 from helpers.ros import (
-    cloud, drive, empty_cloud, LANDMARKS, meeting, odometry_message, raw, raw_record, run_settings,
-    seen)
+    cloud, drive, empty_cloud, feed, LANDMARKS, meeting, odometry_message, raw, raw_record,
+    run_settings, seen)
 
 #: Odometry of both robots every 100 ms from 0 to 400, with scans from 100 on.
 GOOD = [raw_record(record) for record in meeting()]
@@ -467,3 +468,20 @@ def test_a_scan_that_has_waited_in_vain_is_a_rejected_message_of_its_topic():
 
     assert rejection_counts(run) == {'wrong_frame': 1}
     assert run.inputs.health.flow('r1', 'landmarks').rejected_in_a_row.total() == 1
+
+
+def test_scans_whose_stamps_are_far_behind_are_rejected_messages_of_their_topic():
+    """They are held until odometry shows that time has not jumped, and rejected only then."""
+    messages = [
+        message for ms in range(30_000, 33_000, 100) for message in (
+            raw('r1/odom', odometry_message(ms, (0.0, 0.0, 0.0)), ms),
+            raw('r1/landmarks', seen((1, 5.0, 1.0), ms=ms - 20_000), ms))]
+    run = EstimatorSession(run_settings('r1'), None)
+
+    list(feed(run, messages))
+
+    flows = run.inputs.health.robots['r1'].flows
+    assert not flows['odom'].rejected_in_a_row
+    # The first one was in order when it came, and the last one is still held.
+    assert flows['landmarks'].rejected_in_a_row == {RejectionReason.BEFORE_ODOMETRY: 28}
+    assert flows['landmarks'].are_all_rejected(33_000 * MS)

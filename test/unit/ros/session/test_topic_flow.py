@@ -16,7 +16,7 @@ def flow(*times):
     """Return a topic whose messages were received at times in ms."""
     topic = TopicFlow()
     for ms in times:
-        topic.add(ms * MS, None)
+        topic.add(ms * MS)
     return topic
 
 
@@ -54,10 +54,12 @@ def test_a_clock_that_goes_back_is_no_gap():
 def test_rejections_in_a_row_end_with_an_accepted_message():
     topic = TopicFlow()
     for ms, reason in (0, None), (10, 'late'), (20, 'late'), (30, 'tilted'):
-        topic.add(ms * MS, reason and RejectionReason(reason))
+        topic.add(ms * MS)
+        topic.settle(ms * MS, reason and RejectionReason(reason))
 
     assert (topic.rejected_in_a_row, topic.rejected_since) == ({'late': 2, 'tilted': 1}, 10 * MS)
-    topic.add(40 * MS, None)
+    topic.add(40 * MS)
+    topic.settle(40 * MS, None)
     assert not topic.rejected_in_a_row
 
 
