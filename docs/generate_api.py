@@ -22,7 +22,7 @@ HERE = Path(__file__).parent
 
 #: The sections of the page, in reading order.
 SECTIONS = {
-    'Estimator and smoother': ('Estimator', 'TeamSmoother'),
+    'Estimator and smoother': ('Estimator', 'TeamSmoother', 'solve'),
     'Settings': ('Settings', 'RobotSettings'),
     'Records: input': (
         'Odometry', 'Scan', 'Observation', 'RobotScan', 'RobotObservation', 'PosePrior',
@@ -62,8 +62,12 @@ def pages() -> dict[str, str]:
 
 
 def _class(name: str) -> Iterator[str]:
-    """Yield the paragraphs of a class."""
+    """Yield the paragraphs of a class, or of a function."""
     thing = getattr(core, name)
+    if inspect.isfunction(thing):
+        yield f'### `{name}{_short(_signature(thing))}`'
+        yield markdown(inspect.getdoc(thing) or '')
+        return
     yield f'### `{name}`'
     if issubclass(thing, Enum):
         yield markdown(inspect.getdoc(thing) or '')

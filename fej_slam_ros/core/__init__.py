@@ -9,6 +9,7 @@ randomness.
 """
 
 from fej_slam_ros.core.csam.team_smoother import TeamSmoother
+from fej_slam_ros.core.csam.team_solution import SmoothedMap, SmoothedTrajectory, solve, TeamMap
 from fej_slam_ros.core.estimates import (
     FrameMap, LandmarkEstimate, PoseEstimate, RelativePose, StepResult)
 from fej_slam_ros.core.estimator import Estimator
@@ -21,5 +22,5 @@ from fej_slam_ros.core.settings import RobotSettings, Settings
 __all__ = [
     'Estimator', 'FrameMap', 'LandmarkEstimate', 'Observation', 'Odometry', 'PoseEstimate',
     'PosePrior', 'PriorMap', 'Rejection', 'RejectionReason', 'RelativePose', 'RobotObservation',
-    'RobotScan', 'RobotSettings', 'Scan', 'Settings', 'StepResult', 'TeamSmoother',
-    'TrueLandmarks', 'TruePose']
+    'RobotScan', 'RobotSettings', 'Scan', 'Settings', 'SmoothedMap', 'SmoothedTrajectory',
+    'StepResult', 'TeamMap', 'TeamSmoother', 'TrueLandmarks', 'TruePose', 'solve']

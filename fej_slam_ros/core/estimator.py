@@ -129,7 +129,7 @@ class Estimator(TeamInput[StepResult]):
                 self.groups.not_in_map[name] = 'it sent no usable odometry'
 
     def pose(self, robot: str) -> PoseEstimate:
-        """Return the pose of a robot after its last step."""
+        """Return the pose of a robot after its last step; raise a KeyError before its first."""
         group = self.groups.of(robot)
         variable = group.robots[robot]
         return PoseEstimate(

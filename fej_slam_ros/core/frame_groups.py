@@ -107,10 +107,11 @@ class FrameGroups:
         return [group.state for group in self]
 
     def of(self, robot: str) -> FrameGroup:
-        """Return the group that a robot is in."""
-        if robot in self.team.robots:
-            return self.team
-        return next(group for group in self.others if robot in group.robots)
+        """Return the group that a robot is in; raise a KeyError before its first odometry."""
+        for group in self:
+            if robot in group.robots:
+                return group
+        raise KeyError(robot)
 
     def change_settings(self, settings: Settings) -> None:
         """Use other settings of the gate from now on, in all frames."""

@@ -231,6 +231,9 @@ def with_equal_noise(settings: Settings, **noise: Any) -> Settings:
 
 def check_values(settings: Settings) -> None:
     """Raise a UsageError for an impossible value of settings or of one of their robots."""
+    names = [robot.name for robot in settings.robots]
+    if len({*names}) < len(names):
+        raise UsageError(f'two robots of {", ".join(map(repr, names))} have one name: rename one')
     _check_kinds(settings, '')
     for robot in settings.robots:
         _check_kinds(robot, f'{robot.name}.')

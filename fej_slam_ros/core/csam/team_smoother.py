@@ -40,6 +40,8 @@ class TeamSmoother(TeamInput[PoseEstimate]):
     """
     Trajectories and maps of a team of robots.
 
+    The caller solves: ``smoother.adopt(solve(smoother.task()))``, as often as it likes.
+
     What is known of a robot that leaves the team stays part of the solutions. If it returns, it is
     lost until it observes some of its landmarks again.
 
@@ -116,7 +118,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         self.new_poses += 1
 
     def task(self) -> SmoothingTask:
-        """Return the task of smoothing all input so far."""
+        """Return the task of smoothing all input so far, for `solve`."""
         self.new_poses = self.new_measurements = 0
         self._begun_anew.clear()
         settings = self.settings
@@ -136,7 +138,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
 
     def adopt(self, solution: TeamMap) -> None:
         """
-        Adopt the solution of a task; later poses are estimated from it.
+        Adopt the solution of the last task; later poses are estimated from it.
 
         The map of an unsolved robot is unchanged, and so is that of one that has begun anew since
         the task.
@@ -190,7 +192,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
             or name not in self.trajectories or self.trajectories[name].frame != MAP}
 
     def is_smoothed(self, name: str) -> bool:
-        """Return whether the trajectory of a robot is a least-squares solution."""
+        """Return whether the last solution has the trajectory of a robot, or it was not tried."""
         return self.solution.has_joined([name]) or name not in self.solution.unsolved
 
     def scores(self) -> dict[str, PoseScore]:
