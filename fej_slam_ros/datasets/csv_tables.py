@@ -31,7 +31,7 @@ from fej_slam_ros.core.settings import numbered_robots, ORIGIN, Settings, Triple
 from fej_slam_ros.datasets.csv_stamps import require_one_clock, require_one_clock_of_scans
 from fej_slam_ros.datasets.file_checks import (
     checked_landmark_id, checked_stamp, LAST_SECOND, require_folder)
-from fej_slam_ros.datasets.scans import distinct, divided
+from fej_slam_ros.datasets.scans import Content, content, distinct, divided
 from fej_slam_ros.errors import UserError
 from fej_slam_ros.tables import Cells, finite_numbers, integer
 
@@ -338,10 +338,12 @@ def _scans(
     path: Path, parse: Callable[[Cells], tuple[Event, ObservationT | None]],
     repeated: Counter[str],
 ) -> Iterator[tuple[Event, tuple[ObservationT, ...]]]:
-    """Yield the scans in consecutive rows of one robot and stamp."""
+    """Yield the scans in consecutive rows of one robot and stamp, which repeat no earlier row."""
+    used: defaultdict[Event, set[Content]] = defaultdict(set)
     for event, of_event in groupby(_rows(path, parse), lambda row: row[0]):
         seen = [observation for _, observation in of_event if observation is not None]
-        kept = distinct(seen)
+        kept = [s for s in distinct(seen) if content(s) not in used[event]]
+        used[event].update(map(content, kept))
         repeated[path.name] += len(seen) - len(kept)
-        for scan in divided(kept):
+        for scan in divided(kept) if kept or not seen else ():
             yield event, scan

@@ -7,6 +7,9 @@ from collections.abc import Iterable, Iterator
 from fej_slam_ros.core.records import NO_ID, Observation, ObservationT, RobotObservation
 from fej_slam_ros.core.settings import Settings
 
+#: What two observations that repeat each other have in common.
+Content = tuple[int | str, bytes, bytes]
+
 
 def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT, ...]]:
     """
@@ -31,8 +34,12 @@ def divided(observations: Iterable[ObservationT]) -> Iterator[tuple[ObservationT
 
 def distinct(observations: Iterable[ObservationT]) -> list[ObservationT]:
     """Return the observations of one pose without those that repeat another."""
-    by_content = {(observed_name(s), s.z.tobytes(), s.R.tobytes()): s for s in observations}
-    return list(by_content.values())
+    return list({content(s): s for s in observations}.values())
+
+
+def content(observation: Observation | RobotObservation) -> Content:
+    """Return name, position and noise of an observation."""
+    return observed_name(observation), observation.z.tobytes(), observation.R.tobytes()
 
 
 def observed_name(observation: Observation | RobotObservation) -> int | str:

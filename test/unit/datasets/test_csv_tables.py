@@ -289,6 +289,19 @@ def test_rows_that_repeat_an_observation_of_their_stamp_are_left_out_and_counted
     assert repeated == {'landmarks.csv': 7}
 
 
+def test_a_row_that_repeats_one_from_elsewhere_in_the_table_is_left_out_and_counted(tmp_path):
+    rows = [f'a,{stamp},{id_},1,0,.1,0,.2\n' for stamp in (5, 6) for id_ in (1, 2)]
+    repeated = Counter()
+
+    records = csv_tables.read(write(
+        tmp_path, odometry=ODOMETRY, landmarks=''.join([LANDMARK_HEAD, *rows, *rows[::-1]])),
+        repeated)
+
+    scans = [record for record in records if isinstance(record, Scan)]
+    assert [[o.id for o in scan.observations] for scan in scans] == [[1, 2], [1, 2]]
+    assert repeated == {'landmarks.csv': 4}
+
+
 @pytest.mark.parametrize(('stamps', 'fault'), [
     ([0, *range(10 ** 18, 10 ** 18 + 20 * NS, NS)], 'stamp_ns 0 is 11574 days from most of them'),
     ([*range(0, 20 * NS, NS), 10 ** 15], 'stamp_ns 1000000000000000 is 12 days from most of them'),
