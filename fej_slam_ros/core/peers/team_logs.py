@@ -198,7 +198,9 @@ class TeamLogs:
                 raise MessageRejectedError(MessageRejection.TOO_FAR_AHEAD)
             return Log(block.log, block.run)
         coming = self._next_information.get(block.log)
-        if coming is None or coming.run != block.run:
+        if coming is not None and block.run < coming.run:
+            raise MessageRejectedError(MessageRejection.OLD_RUN)
+        if coming is None or coming.run < block.run:
             coming = self._next_information[block.log] = Log(block.log, block.run)
         return coming
 

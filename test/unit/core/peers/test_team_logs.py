@@ -304,6 +304,20 @@ def test_information_that_has_arrived_in_part_is_replaced_by_a_later_one():
     assert logs.logs[name].blocks == [b'e', b'f']
 
 
+def test_a_delayed_part_of_earlier_information_does_not_replace_what_has_arrived_since():
+    name, sender, logs, blocks = LogName('q', 'p'), TeamLogs('q', 1, NOISE), receiver(), []
+    for contents_ in ([b'a'], [b'c', b'd'], [b'e', b'f']):
+        sender.publish(name, contents_)
+        blocks.append([sender.logs[name].block(k) for k in range(len(contents_))])
+    (first,), (_, delayed), (head, rest) = blocks
+
+    assert all(map(logs.add, (first, rest)))
+    assert rejection(logs, delayed) is MessageRejection.OLD_RUN
+    assert logs.add(head)
+
+    assert logs.logs[name].blocks == [b'e', b'f']
+
+
 def test_a_later_run_does_not_go_on_with_the_last_scan_of_the_earlier_one():
     yesterday, _ = written(run=1)
     today = TeamLogs('q', 2, NOISE)
