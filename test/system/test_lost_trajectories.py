@@ -238,7 +238,7 @@ def blind_until(records, since):
         r for r in records if r.stamp > since or not (isinstance(r, Scan) and r.robot == 'r1')]
 
 
-def test_a_robot_that_is_lost_before_it_has_mapped_anything_begins_anew():
+def test_a_robot_that_is_lost_before_it_has_mapped_anything_starts_over():
     """Its first message is from before its driver knew the pose."""
     first, *later = (r for r in RECORDS if isinstance(r, Odometry) and r.robot == 'r1')
     records = jumping(blind_until(RECORDS, first.stamp), first.stamp)
@@ -264,7 +264,7 @@ def test_few_landmarks_from_before_a_robot_was_lost_are_left_out_and_counted():
     assert {id_ for _, id_ in smoother.trajectories['r1'].landmark_keys('')}.isdisjoint({901, 902})
 
 
-def test_a_solution_from_before_a_robot_began_anew_changes_nothing_of_it():
+def test_a_solution_from_before_a_robot_started_over_changes_nothing_of_it():
     smoother = TeamSmoother(team('r1'))
     for ms in range(0, 500, 100):
         smoother.add(odometry('r1', ms))
@@ -282,7 +282,7 @@ def test_a_solution_from_before_a_robot_began_anew_changes_nothing_of_it():
     assert len(smoother.trajectories['r1'].poses()) == 5
 
 
-def test_an_anchor_whose_given_pose_no_longer_holds_does_not_begin_anew():
+def test_an_anchor_whose_given_pose_no_longer_holds_does_not_start_over():
     smoother = TeamSmoother(team('r1', 'r2', anchor_pose=(3.0, 2.0, 1.0)))
     for ms in range(0, 500, 100):
         for name in ('r1', 'r2'):

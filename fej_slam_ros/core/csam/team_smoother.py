@@ -82,7 +82,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         self._solve_every = solve_every
         self._measurements: list[RendezvousMeasurement] = []
         self._observed_pairs: set[tuple[str, str]] = set()  # observers and observed of these
-        self._begun_anew: set[str] = set()  # robots, since the last task
+        self._started_over: set[str] = set()  # robots, since the last task
         self._keyframes = Keyframes(settings.keyframe_distance)
         # Rest of the present step, and the robots whose poses in it are kept.
         self._due: deque[RobotStep] = deque()
@@ -120,7 +120,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
     def task(self) -> SmoothingTask:
         """Return the task of smoothing all input so far, for `solve`."""
         self.new_poses = self.new_measurements = 0
-        self._begun_anew.clear()
+        self._started_over.clear()
         settings = self.settings
         anchor_first = sorted(self._known(), key=lambda name: name != settings.anchor)
         return SmoothingTask(
@@ -140,11 +140,11 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         """
         Adopt the solution of the last task; later poses are estimated from it.
 
-        The map of an unsolved robot is unchanged, and so is that of one that has begun anew since
+        The map of an unsolved robot is unchanged, and so is that of one that has started over since
         the task.
 
         """
-        solution = solution.without(self._begun_anew)
+        solution = solution.without(self._started_over)
         for solved in solution.maps:
             for name in solved.trajectories:
                 self.trajectories[name].adopt(solved)
@@ -329,7 +329,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         """
         Continue in a new frame, until landmarks of the map are observed again.
 
-        Where the map has too few for that, and relates the robot to nothing, it begins anew.
+        Where the map has too few for that, and relates the robot to nothing, it starts over.
 
         """
         local = self.trajectories[name].local_map('')
@@ -340,7 +340,7 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         self.trajectories[name] = RobotTrajectory(
             name, self._stamp, observations, self._solve_every)
         self.solution = self.solution.without([name])
-        self._begun_anew.add(name)
+        self._started_over.add(name)
 
     def _leave_out(self, local: LocalMap) -> None:
         """Count the observations of a robot's own map, which no result has, as rejected."""

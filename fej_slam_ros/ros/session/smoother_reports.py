@@ -76,13 +76,13 @@ class SmootherLog(RunLog[TeamSmoother]):
         self._begins: dict[str, int] = {}
 
     def add_poses(self) -> None:
-        """Add the lines of robots that were lost, found or begun anew with the last poses."""
+        """Add the lines of robots that were lost or found, or started over, with the last poses."""
         team = self._consumer
         for robot in [*self._inputs.health.pose_priors]:
             if robot in team.trajectories:
                 self._note_priors(robot, team.trajectories[robot].newest().stamp)
         self._add_lost(team)
-        self._add_begun(team)
+        self._add_restarts(team)
 
     def _add_lost(self, team: TeamSmoother) -> None:
         lost = {robot for robot, trajectory in team.trajectories.items() if trajectory.is_lost}
@@ -96,12 +96,12 @@ class SmootherLog(RunLog[TeamSmoother]):
             self.add(LogSeverity.INFO, f'{robot} {what}')
         self._lost = lost
 
-    def _add_begun(self, team: TeamSmoother) -> None:
+    def _add_restarts(self, team: TeamSmoother) -> None:
         begins = {robot: trajectory.stamps[0] for robot, trajectory in team.trajectories.items()}
         for robot, begin in begins.items():
             if begin > self._begins.get(robot, begin) and team.statistics.relocalized[robot]:
                 reason = team.statistics.restart_reasons[robot]
-                self.add(LogSeverity.WARN, f'{robot} begins anew, without its map: {reason}')
+                self.add(LogSeverity.WARN, f'{robot} starts over, without its map: {reason}')
         self._begins = begins
 
     def add_solution(self, failed: Mapping[str, str]) -> None:

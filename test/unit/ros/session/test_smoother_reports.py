@@ -23,11 +23,11 @@ def test_the_smoother_logs_joined_and_unsolved_robots():
         'r1 is not smoothed: no minimum', 'r1 is smoothed again']
 
 
-def test_a_robot_that_begins_anew_has_a_line_with_the_reason():
+def test_a_robot_that_starts_over_has_a_line_with_the_reason():
     run = SmootherSession(run_settings('r1'), None)
     for ms in range(0, 1000, 100):
         run.receive(raw_record(odometry('r1', ms, (50.0 * (ms >= 500), 0.0, 0.0))))
         list(run.take())
 
     assert log_texts(run) == [
-        'r1 begins anew, without its map: its odometry moved 50.0 m in 0.10 s']
+        'r1 starts over, without its map: its odometry moved 50.0 m in 0.10 s']
