@@ -140,8 +140,8 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         """
         Adopt the solution of the last task; later poses are estimated from it.
 
-        The map of an unsolved robot is unchanged, and so is that of one that has started over since
-        the task.
+        The map of an unsolved robot is unchanged, and so is that of one that has started over
+        since the task.
 
         """
         solution = solution.without(self._started_over)

@@ -76,7 +76,7 @@ class SmootherLog(RunLog[TeamSmoother]):
         self._begins: dict[str, int] = {}
 
     def add_poses(self) -> None:
-        """Add the lines of robots that were lost or found, or started over, with the last poses."""
+        """Add the lines of robots that were lost or found, or started over, by now."""
         team = self._consumer
         for robot in [*self._inputs.health.pose_priors]:
             if robot in team.trajectories:
