@@ -239,7 +239,7 @@ class EstimatorLog(RunLog[Estimator]):
 
     def _cause_of_start(self, robot: str) -> str:
         """Return by what a robot has begun in ``map``."""
-        if robot in self._inputs.health.pose_priors:
+        if self._is_placed(robot):
             return 'set_pose'
         if robot not in self._consumer.groups.void_starts:
             if robot == self._consumer.settings.anchor:
@@ -248,13 +248,18 @@ class EstimatorLog(RunLog[Estimator]):
                 return 'its start_pose'
         return 'its observations'
 
+    def _is_placed(self, robot: str) -> bool:
+        """Return whether a robot is where a pose prior has placed it."""
+        health = self._inputs.health
+        return robot in health.pose_priors and robot in health.placed
+
     def _severity_of_joins(self, robots: Sequence[str]) -> LogSeverity:
         are_often = all(self._restarts_often.get(robot, False) for robot in robots)
         return LogSeverity.DEBUG if are_often else LogSeverity.INFO
 
     def _cause(self, robots: Sequence[str], before: str, frame: str) -> str:
         """Return by what robots joined a frame from the one before."""
-        if any(robot in self._inputs.health.pose_priors for robot in robots):
+        if any(map(self._is_placed, robots)):
             return 'set_pose'
         if self._consumer.groups.is_initialized and not self._was_initialized:
             return 'the observations at step 0'

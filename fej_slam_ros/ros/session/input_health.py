@@ -200,6 +200,7 @@ class InputHealth:
     clock_offsets : clock offsets of the robots, from the delays of their odometry
     first_messages : robot and topic of each first message, until they are taken
     pose_priors : stamps [ns] of the pose priors of each robot that wait for its next step
+    placed : robots whose newest pose prior is a known pose, no request to relocalize
     rejected_priors : robot and reason of each rejected pose prior, until they are taken
 
     """
@@ -212,6 +213,7 @@ class InputHealth:
         self._newest = -sys.maxsize
         self.first_messages: deque[tuple[str, str]] = deque(maxlen=MAX_NOTES)
         self.pose_priors: dict[str, list[int]] = {}
+        self.placed: set[str] = set()
         self.rejected_priors: deque[tuple[str, RejectionReason]] = deque(maxlen=MAX_NOTES)
 
     @property
@@ -249,8 +251,9 @@ class InputHealth:
         if kind == 'odom':
             self.clock_offsets.add(robot, delay)
 
-    def receive_pose_prior(self, robot: str, stamp: int) -> None:
-        """Add the stamp [ns] of an accepted pose prior."""
+    def receive_pose_prior(self, robot: str, stamp: int, is_known: bool) -> None:
+        """Add the stamp [ns] of an accepted pose prior, and whether it is a known pose."""
+        (self.placed.add if is_known else self.placed.discard)(robot)
         waiting = self.pose_priors.setdefault(robot, [])
         waiting.append(stamp)
         del waiting[:-MAX_NOTES]

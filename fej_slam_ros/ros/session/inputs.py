@@ -13,7 +13,7 @@ import numpy as np
 from fej_slam_ros.core.ordering.consumer import Consumer
 from fej_slam_ros.core.ordering.time_jump import TimeJumpDetector
 from fej_slam_ros.core.records import (
-    AnyScan, NS, Odometry, PosePrior, RobotScan, Scan, TruePose)
+    AnyScan, is_too_uncertain, NS, Odometry, PosePrior, RobotScan, Scan, TruePose)
 from fej_slam_ros.core.rejections import RejectionReason
 from fej_slam_ros.core.settings import RobotSettings
 from fej_slam_ros.core.snapshot import from_plain, to_plain
@@ -256,7 +256,8 @@ class Inputs:
             elif kind == 'set_pose':
                 prior = incoming.pose_prior(message, robot.name, self._map_frame)
                 if self.time_jump_detector.add(prior, received):
-                    self.health.receive_pose_prior(robot.name, stamp)
+                    self.health.receive_pose_prior(
+                        robot.name, stamp, not is_too_uncertain(prior.P))
             elif (mounted := self._mounted(robot, message.header.frame_id)) is not None:
                 self._receive_scan(kind, mounted, message, received)
             else:

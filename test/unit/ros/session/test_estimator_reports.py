@@ -355,6 +355,19 @@ def test_a_pose_at_the_first_odometry_is_the_cause():
     assert 'r2 joined map, by set_pose' in lines_of([placed, *meeting()])
 
 
+def test_a_robot_that_was_asked_to_relocalize_has_not_joined_by_a_pose():
+    run = EstimatorSession(run_settings(), None)
+    records = [raw_record(record) for record in meeting(30)]
+    half = len(records) // 2
+    list(feed(run, records[:half]))
+
+    list(feed(run, [raw_record(run.relocalization('r2')), *records[half:]]))
+
+    joins = [line for line in log_texts(run) if line.startswith('r2 joined map, by ')]
+    assert len(joins) == 2
+    assert not any('set_pose' in line for line in joins)
+
+
 def test_a_start_that_a_robot_no_longer_uses_when_it_comes_back_is_not_the_cause():
     known = [('r2', (1.0, -3.0, 0.0), (0.1, 0.1, 0.1))]
     run = EstimatorSession(run_settings(known=known), None)
