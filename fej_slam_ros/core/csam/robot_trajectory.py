@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Trajectory and map of one robot, grown pose by pose, and its frame in the team's map."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from fej_slam_ros.core.gauss_newton import NoMinimumError
 from fej_slam_ros.core.geometry import Array
 from fej_slam_ros.core.records import LandmarkKey, Motion, Observation, UNKNOWN_POSE_COVARIANCE
 from fej_slam_ros.core.sentences import counted
-from fej_slam_ros.core.smoothing.factors import Values
+from fej_slam_ros.core.smoothing.factors import LandmarkFactors, Values
 from fej_slam_ros.core.smoothing.incremental import IncrementalSmoother
 
 
@@ -134,10 +134,8 @@ class RobotTrajectory:
         """Return stamp [ns] and landmark of each observation since the robot was lost."""
         if self._lost is None:
             return []
-        observed, ids = self._lost.problem().landmarks, [*self._lost.landmark_index]
-        return [
-            (self._lost_stamps[k], ids[j])
-            for k, j in zip(observed.pose.tolist(), observed.target.tolist())]
+        return stamped(
+            self._lost.problem().landmarks, self._lost_stamps, [*self._lost.landmark_index])
 
     def why_lost(self) -> str:
         """Return why a robot is still lost."""
@@ -188,3 +186,10 @@ class RobotTrajectory:
             self._smoother.append(later, g, Q)
         except NoMinimumError as error:
             self.error = str(error)
+
+
+def stamped(
+    observed: LandmarkFactors, stamps: Sequence[int], ids: Sequence[int]
+) -> list[tuple[int, int]]:
+    """Return stamp [ns] and ID of each observation, given those of all poses and landmarks."""
+    return [(stamps[k], ids[j]) for k, j in zip(observed.pose.tolist(), observed.target.tolist())]

@@ -17,9 +17,8 @@ import numpy as np
 from fej_slam_ros.core.csam.frame_by_landmarks import MIN_FOUND
 from fej_slam_ros.core.csam.join_rules import DEFAULT_RULES, JoinRules
 from fej_slam_ros.core.csam.keyframes import Keyframes, RobotStep
-from fej_slam_ros.core.csam.maps import LocalMap
 from fej_slam_ros.core.csam.rendezvous import RendezvousMeasurement
-from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory
+from fej_slam_ros.core.csam.robot_trajectory import RobotTrajectory, stamped
 from fej_slam_ros.core.csam.team_solution import SmoothingTask, solution_hash, TeamMap
 from fej_slam_ros.core.definiteness import has_information
 from fej_slam_ros.core.estimates import PoseEstimate
@@ -332,22 +331,17 @@ class TeamSmoother(TeamInput[PoseEstimate]):
         Where the map has too few for that, and relates the robot to nothing, it starts over.
 
         """
-        local = self.trajectories[name].local_map('')
-        if len(local.landmarks) >= MIN_FOUND or self._is_related(name):
-            self.trajectories[name].lose(self._stamp, observations)
+        trajectory = self.trajectories[name]
+        if len(trajectory.landmark_keys('')) >= MIN_FOUND or self._is_related(name):
+            trajectory.lose(self._stamp, observations)
             return
-        self._leave_out(local)
+        local = trajectory.local_map('')
+        self._reject_observations(name, stamped(
+            local.problem.landmarks, trajectory.stamps, [id_ for _, id_ in local.landmarks]))
         self.trajectories[name] = RobotTrajectory(
             name, self._stamp, observations, self._solve_every)
         self.solution = self.solution.without([name])
         self._started_over.add(name)
-
-    def _leave_out(self, local: LocalMap) -> None:
-        """Count the observations of a robot's own map, which no result has, as rejected."""
-        observed, stamps = local.problem.landmarks, self.trajectories[local.robot].stamps
-        for k, j in zip(observed.pose.tolist(), observed.target.tolist()):
-            self.statistics.reject_observation(Rejection(
-                local.robot, stamps[k], RejectionReason.LOST_ROBOT, local.landmarks[j][1]))
 
     def _is_related(self, name: str) -> bool:
         """Return whether the trajectory of a robot has a place in ``map`` or beside another."""
@@ -357,7 +351,11 @@ class TeamSmoother(TeamInput[PoseEstimate]):
 
     def _reject_lost(self, name: str) -> None:
         """Count observations since a robot was lost, whose poses are in no map, as rejected."""
-        for stamp, id_ in self.trajectories[name].lost_observations():
+        self._reject_observations(name, self.trajectories[name].lost_observations())
+
+    def _reject_observations(self, name: str, observed: Iterable[tuple[int, int]]) -> None:
+        """Count observations of a robot, given by stamp [ns] and ID, as those of a lost one."""
+        for stamp, id_ in observed:
             self.statistics.reject_observation(
                 Rejection(name, stamp, RejectionReason.LOST_ROBOT, id_))
 

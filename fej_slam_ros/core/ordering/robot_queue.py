@@ -118,7 +118,7 @@ class RobotQueue:
         if not scans:
             return scans
         del self._scans[: len(scans)]
-        self._observations -= _size(scans)
+        self._observations -= count_observations(scans)
         self._update_next_key()
         return [corrected(scan, self._settings) for scan in scans]
 
@@ -138,7 +138,7 @@ class RobotQueue:
             return []
         scans = [scan for scan in self._scans if len(scan.observations) >= size]
         surplus = scans[:max(len(scans) - most, 0)]
-        rest = self._observations - _size(surplus)
+        rest = self._observations - count_observations(surplus)
         for scan in scans[len(surplus):-1]:
             if rest <= MAX_QUEUED_OBSERVATIONS:
                 break
@@ -188,7 +188,7 @@ class RobotQueue:
         if scans:
             dropped = {id(scan) for scan in scans}
             self._scans = [scan for scan in self._scans if id(scan) not in dropped]
-            self._observations -= _size(scans)
+            self._observations -= count_observations(scans)
             for scan in scans:
                 self._memory.remove(identity(scan))
             self._update_next_key()
@@ -207,5 +207,6 @@ class RobotQueue:
         return RejectionReason.BEFORE_CHECKPOINT if is_old else RejectionReason.LATE
 
 
-def _size(scans: Iterable[AnyScan]) -> int:
+def count_observations(scans: Iterable[AnyScan]) -> int:
+    """Return the number of observations in some scans."""
     return sum(len(scan.observations) for scan in scans)

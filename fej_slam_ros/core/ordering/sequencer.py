@@ -32,7 +32,8 @@ from dataclasses import replace
 import sys
 
 from fej_slam_ros.core.ordering.input_statistics import InputStatistics
-from fej_slam_ros.core.ordering.robot_queue import MAX_QUEUED_SCANS, ReleaseKey, RobotQueue
+from fej_slam_ros.core.ordering.robot_queue import (
+    count_observations, MAX_QUEUED_SCANS, ReleaseKey, RobotQueue)
 from fej_slam_ros.core.pieces import must_end
 from fej_slam_ros.core.records import (
     AnyScan, fingerprint, merged, NS, Odometry, RobotScan, Scan, ScanT, Step)
@@ -314,7 +315,8 @@ class Sequencer:
     def _take_scans(self, queue: RobotQueue, stamp: int) -> Sequence[AnyScan]:
         """Return the scans of a robot at a stamp; reject those that are too large together."""
         scans, room = queue.take_scans(stamp), self._settings.max_observations
-        if sum(len(scan.observations) for scan in scans) <= room:
+        # One scan that is too large was rejected when it arrived.
+        if len(scans) < 2 or count_observations(scans) <= room:
             return scans
         kept = []
         # By content, so that the order of arrival has no effect.

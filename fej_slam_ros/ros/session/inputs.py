@@ -32,7 +32,7 @@ from fej_slam_ros.ros.topic_types import (
     TRUE_LANDMARKS)
 
 #: The last part of the names of the topics, by the type of their records.
-KINDS = {
+TOPIC_KINDS = {
     Odometry: 'odom', Scan: 'landmarks', RobotScan: 'robots', TruePose: 'ground_truth',
     PosePrior: 'set_pose'}
 #: Maximum number of scans of a robot that wait for its first odometry, whose child frame is valid
@@ -201,7 +201,7 @@ class Inputs:
         settled = [*self.time_jump_detector.settled]
         self.time_jump_detector.settled.clear()
         for record, received, reason in settled:
-            self.health.settle(record.robot, KINDS[type(record)], received, reason)
+            self.health.settle(record.robot, TOPIC_KINDS[type(record)], received, reason)
         return sum(record.robot == robot and reason is not None for record, _, reason in settled)
 
     def _reason_since(self, robot: str, rejected: int) -> RejectionReason | None:
